@@ -33,6 +33,17 @@ def imports(path: Path) -> Iterator[str]:
             yield str(node.module)
 
 
+def from_another_room(path: Path) -> list[str]:
+    """Inner modules that a test imports from another room than its own: `loopshape.<room>`, `loopshape.toolbox.<room>`.
+
+    One for each statement `from loopshape.<...> import ...` in the file; `import loopshape as ls` is the front door.
+    A test's rooms are the folders that it lies in (tests/truth/loop, tests/toolbox/arm); that of pictures is view.
+    """
+    own = {"view" if part == "pictures" else part for part in path.relative_to(ROOT).parts}
+    inner = [name for name in imports(path) if "." in name]
+    return [name for name in inner if name.removeprefix("loopshape.").removeprefix("toolbox.").split(".")[0] not in own]
+
+
 def counted() -> dict[str, int]:
     """The numbers of today."""
     bench = [p for p in modules(PACKAGE) if "toolbox" not in p.relative_to(PACKAGE).parts]
@@ -65,6 +76,7 @@ def counted() -> dict[str, int]:
         "imports_of_cli_below_verbs": len(inner),
         "imports_over_the_wall": len(crossing),
         "pairs_of_toolboxes": sum(one != other for one, other in pairs),
+        "inner_imports_of_tests": sum(len(from_another_room(p)) for p in modules(ROOT / "tests")),
     }
 
 

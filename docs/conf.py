@@ -34,8 +34,9 @@ release = version = loopshape.__version__
 sys.path.insert(0, str(Path(__file__).parent))  # the gallery finds `last_picture` by its name
 for _name in (
     "plot",
+    "errors",
     *found().toolboxes,
-):  # pages name pictures and toolboxes' names as a script does
+):  # pages name pictures, errors and toolboxes' names as a script does
     if (_names := getattr(loopshape, _name, None)) is not None:
         _module = ModuleType(f"loopshape.{_name}", _names.__doc__)
         vars(_module).update(

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from loopshape.core import errors as errors
     from loopshape.core.errors import LoopshapeError as LoopshapeError
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
@@ -137,6 +138,9 @@ _HOME = {
     "tune": "verbs.chain",
     "write": "verbs.files",
 }
+#: the kinds of LoopshapeError, `ls.errors.<name>`
+_KINDS = ("BadSignalError", "RigError", "UnreadableInputError", "WrongUseError")
+_ERRORS = dict.fromkeys(_KINDS, "loopshape.core.errors")
 
 
 def __getattr__(name: str) -> Any:
@@ -215,7 +219,8 @@ def _toolboxes() -> dict[str, _Names]:
     from loopshape.core.toolboxes import found
 
     boxes = {key: one for key, one in found().toolboxes.items() if one.names}
-    return {key: (_Verb if key in one.names else _Names)(key, one.purpose, one.names) for key, one in boxes.items()}
+    made = {key: (_Verb if key in one.names else _Names)(key, one.purpose, one.names) for key, one in boxes.items()}
+    return made | {"errors": _Names("errors", "Kinds of LoopshapeError", _ERRORS)}
 
 
 def __dir__() -> list[str]:

@@ -21,7 +21,8 @@ from loopshape.loop.verdict import check
 
 HERE = Path(__file__).parent
 EXAMPLES = HERE.parent.parent / "examples"
-sys.path[:0] = [str(HERE.parent / "how_far"), str(HERE.parent.parent / "tests" / "helpers" / "loops")]
+HELPERS = HERE.parent.parent / "tests" / "helpers"
+sys.path[:0] = [str(HERE.parent / "how_far"), *(str(HELPERS / name) for name in ("", "loops", "nouns"))]
 from arm_frfs import measured, write  # noqa: E402
 from bench_frf import motor_bench  # noqa: E402
 from detuned_plants import ASKED, CANCELLED, polynomials  # noqa: E402

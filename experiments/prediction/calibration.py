@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent.parent / "tests" / "helpers" / "loops"))
+sys.path[:0] = [str(HERE.parent.parent / "tests" / "helpers" / name) for name in ("", "loops", "nouns")]
 
 from predicted_loops import NEW, OLD, arm, measured, predicted  # noqa: E402
 

@@ -17,7 +17,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.identify.frequency_response import estimate_frf
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent.parent / "tests" / "helpers" / "loops"))
+sys.path[:0] = [str(HERE.parent.parent / "tests" / "helpers" / name) for name in ("", "loops", "nouns")]
 from swept_loop import (  # noqa: E402
     HIGH,
     LOOP,

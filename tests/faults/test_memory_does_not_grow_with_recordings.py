@@ -4,12 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
 from memory_limit import in_a_child
 
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.run.run_folder import write_run
+import loopshape as ls
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -41,14 +39,14 @@ def many(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp("many") / "run"
     loop = LoopSetup("a", reference="r_m", injected=None, control="z_v", output="y_m", controller=None)
     every = tuple(
-        Recording(
+        ls.Recording(
             RecordingInfo(f"r{k:03d}.parquet", "noise", "reference", excites="a"),
             RATE_HZ,
             {"r_m": u, "z_v": u - y, "y_m": np.round(y + 0.01 * k, 3)},
         )
         for k in range(recordings)
     )
-    write_run(folder, Run(rate_hz=RATE_HZ, loops=(loop,), recordings=every))
+    ls.write(ls.Run(rate_hz=RATE_HZ, loops=(loop,), recordings=every), folder)
     return folder
 
 

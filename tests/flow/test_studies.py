@@ -7,7 +7,7 @@ import pytest
 import studies as command
 import typer
 
-from loopshape.core.errors import LoopshapeError
+import loopshape as ls
 
 SAYS_THREADS = 'import os\nprint("threads", os.environ["OMP_NUM_THREADS"], os.environ["NUMBA_NUM_THREADS"])\n'
 
@@ -86,12 +86,12 @@ def test_the_scoreboard_comes_after_those_it_reads(studies, run, tmp_path, monke
     ],
 )
 def test_what_cannot_be_run_is_refused(studies, run, name, options, sentence):
-    with pytest.raises(LoopshapeError, match=sentence):
+    with pytest.raises(ls.LoopshapeError, match=sentence):
         run(name, **options, experiments=studies(a=""))
 
 
 def test_a_folder_without_studies_is_said(run, tmp_path):
-    with pytest.raises(LoopshapeError, match="the project's studies are not here"):
+    with pytest.raises(ls.LoopshapeError, match="the project's studies are not here"):
         run(experiments=tmp_path)
 
 

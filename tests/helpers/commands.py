@@ -3,11 +3,13 @@
 import io
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from subprocess import CompletedProcess
 from unittest import mock
+
+from typer.testing import CliRunner, Result
 
 from loopshape.cli import main
 from loopshape.io import seen
@@ -34,6 +36,11 @@ def said_by(words: tuple[object, ...]) -> str:
             code = 70
             traceback.print_exc(file=err)
     return f"{code}\0{out.getvalue()}\0{err.getvalue()}"
+
+
+def invoked(words: Sequence[object], **settings: object) -> Result:
+    """What typer's runner tells of a command, with the exception that a refusal is."""
+    return CliRunner().invoke(main.app, [str(word) for word in words], **settings)
 
 
 @contextmanager

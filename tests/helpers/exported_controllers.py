@@ -1,8 +1,9 @@
 """Controllers that the tests of exports share: each kind of block, a series with one integrator, each precision."""
 
 import numpy as np
+from bench_nouns import Block
 
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 
 RATE_HZ = 100.0  # low, so that 16 bits hold the poles too
 BLOCKS = {
@@ -24,9 +25,9 @@ def cases():
     for precision in PRECISIONS:
         short = precision.replace(".", "_")
         for kind, block in BLOCKS.items():
-            made[f"{kind}-{short}"] = Controller(f"{kind}-{short}", (block,), RATE_HZ, precision=precision)
+            made[f"{kind}-{short}"] = ls.Controller(f"{kind}-{short}", (block,), RATE_HZ, precision=precision)
         series = tuple(block for kind, block in BLOCKS.items() if kind != "pid")  # one integrator
-        made[f"series-{short}"] = Controller(f"series-{short}", series, RATE_HZ, prewarp_hz=5.0, precision=precision)
+        made[f"series-{short}"] = ls.Controller(f"series-{short}", series, RATE_HZ, prewarp_hz=5.0, precision=precision)
     return made
 
 

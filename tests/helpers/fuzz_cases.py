@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
-from loopshape.core.errors import LoopshapeError
+import loopshape as ls
 
 #: names that lead out of a folder, or that no file can have
 NAMES = (
@@ -98,7 +98,7 @@ def said(work):
     with np.errstate(all="ignore"):
         try:
             work()
-        except LoopshapeError as error:
+        except ls.LoopshapeError as error:
             sentence = str(error)
             assert "\n" not in sentence, sentence
             assert len(sentence) < 3000, len(sentence)

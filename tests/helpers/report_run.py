@@ -4,18 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo
+from conversions import TWO_PI
+from run_files import gather, write_fits, write_frfs
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.identify.fit import fit, structure_by_name
-from loopshape.io.run.gathered import gather
-from loopshape.io.run.run_folder import write_run
-from loopshape.io.write.fits import write_fits
-from loopshape.io.write.frfs import write_frfs
 from loopshape.view.html.page import page
 from loopshape.view.plots.frequency import frf_page
 from loopshape.view.style import new_figure, png
@@ -48,20 +42,20 @@ def plant(f: np.ndarray, gain: float) -> np.ndarray:
     return gain / (s * (s / (TWO_PI * 20.0) + 1.0))
 
 
-def frf(name: str, gain: float, where_m: float, lines: int = 240) -> FRF:
+def frf(name: str, gain: float, where_m: float, lines: int = 240) -> ls.FRF:
     """A FRF of the known plant, which is stable, 2 % noise, the last lines not trusted."""
     rng = np.random.default_rng(round(1000 * gain))
     f = np.linspace(0.25, 60.0, lines)
     truth = plant(f, gain)
     noise = 0.02 * np.abs(truth) * (rng.standard_normal(lines) + 1j * rng.standard_normal(lines)) / np.sqrt(2.0)
-    return FRF(
+    return ls.FRF(
         f, (truth + noise)[:, None, None], (0.02 * np.abs(truth))[:, None, None].astype(complex) ** 2, f < 55.0,
         ("z_v",), ("y_m",), "local polynomials, <b>bold</b>", name, "axis", RATE, {"where_m": where_m},
         notes=(HOSTILE,), open_loop=True,
     )  # fmt: skip
 
 
-def recording(name: str, where_m: float) -> Recording:
+def recording(name: str, where_m: float) -> ls.Recording:
     rng = np.random.default_rng(len(name))
     n = rng.standard_normal(2000)
     y = np.convolve(n, np.ones(5) / 5.0, mode="same")
@@ -70,14 +64,14 @@ def recording(name: str, where_m: float) -> Recording:
     info = RecordingInfo(
         f"{name}.parquet", "noise", "controller_input", excites="axis", operating_point={"where_m": where_m}
     )
-    return Recording(info, RATE, columns)
+    return ls.Recording(info, RATE, columns)
 
 
 def recordings_only(folder: Path) -> Path:
     """A run of two recordings; its note tries to break out."""
     loops = (LoopSetup("axis", "r_m", "n_m", "z_v", "y_m", None),)
     made = (recording("near", 0.1), recording("far-away", 0.4))
-    write_run(folder, Run(RATE, loops, made, extra={"notes": [HOSTILE]}))
+    ls.write(ls.Run(RATE, loops, made, extra={"notes": [HOSTILE]}), folder)
     return folder
 
 
@@ -101,11 +95,11 @@ def whole_run(folder: Path) -> Path:
     return folder
 
 
-def controller() -> Controller:
-    return Controller("axis", (Block("gain", {"gain": 1.5}), Block("low_pass_1", {"f_hz": 60.0})), RATE)
+def controller() -> ls.Controller:
+    return ls.Controller("axis", (Block("gain", {"gain": 1.5}), Block("low_pass_1", {"f_hz": 60.0})), RATE)
 
 
-def many(count: int) -> list[FRF]:
+def many(count: int) -> list[ls.FRF]:
     """FRFs of many operating points."""
     return [replace(frf(f"r{k:02d}", 20.0 + k, 0.01 * k, 120), recording=f"r{k:02d}") for k in range(count)]
 
@@ -115,7 +109,7 @@ def page_of_points(folder: Path, count: int, note: str, date: str) -> str:
     names = [f"r{k:02d}" for k in range(count)]
     loops = (LoopSetup("axis", "r_m", "n_m", "z_v", "y_m", None),)
     made = tuple(recording(name, 0.01 * k) for k, name in enumerate(names))
-    write_run(folder, Run(RATE, loops, made))
+    ls.write(ls.Run(RATE, loops, made), folder)
     frfs = [
         replace(frf(name, 20.0 + k, 0.01 * k, 240), notes=(note.format(k),), recording=name)
         for k, name in enumerate(names)

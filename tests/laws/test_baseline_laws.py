@@ -1,10 +1,10 @@
 """Laws of a comparison: with itself nothing changed; backwards, better is worse; its two parts add up."""
 
+from bench_nouns import LIMITS
 from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import VALUES, checked, margins
 
-from loopshape.data.requirement.requirements import LIMITS
 from loopshape.loop.baseline import compare
 
 OPPOSITE = {"better": "worse", "worse": "better", "unchanged": "unchanged"}

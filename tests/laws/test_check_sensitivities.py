@@ -1,13 +1,12 @@
 """S + T = 1 and the relations between the four sensitivities, for any plant and any controller."""
 
 import numpy as np
+from bench_nouns import Block, Loop
+from conversions import from_db
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from loopshape.core.units import from_db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.loop.margin.margins import margins
 
 RATE = 500.0
@@ -32,8 +31,10 @@ def loops(draw):
     assume(np.all(np.diff(f) > 0.0))
     P = 10.0 ** rng.uniform(-3.0, 3.0, f.size) * np.exp(2j * np.pi * rng.random(f.size))
     P, known = P[:, None, None], np.ones(f.size, dtype=bool)
-    frf = FRF(f, P, 1e-8 * np.abs(P) ** 2 + 0j, known, ("z_v",), ("y_rad",), "made up", rate_hz=RATE)
-    return Loop(frf, Controller("axis", tuple(draw(st.lists(blocks, min_size=1, max_size=4))), RATE), unstable_poles=0)
+    frf = ls.FRF(f, P, 1e-8 * np.abs(P) ** 2 + 0j, known, ("z_v",), ("y_rad",), "made up", rate_hz=RATE)
+    return Loop(
+        frf, ls.Controller("axis", tuple(draw(st.lists(blocks, min_size=1, max_size=4))), RATE), unstable_poles=0
+    )
 
 
 @settings(max_examples=80, deadline=None)

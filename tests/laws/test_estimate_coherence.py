@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopSetup, RecordingInfo, Settings
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.settings import Settings
 
 RATE = 100.0
-LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", Controller("axis", (Block("gain", {"gain": 1.0}),), RATE))
+LOOP = LoopSetup("axis", None, None, "z_v", "y_rad", ls.Controller("axis", (Block("gain", {"gain": 1.0}),), RATE))
 BACK = LoopSetup("axis", None, None, "y_rad", "z_v", None)
 
 
@@ -21,7 +19,7 @@ def open_loop(z, y, *, loop=LOOP, period_s=None, **words):
     info = RecordingInfo(
         "r1.parquet", "noise", "control", excites="axis", closed_loop=False, period_s=period_s, periodic_from_s=0.0
     )
-    return estimate_frf(Recording(info, RATE, {"z_v": z, "y_rad": y}), loop, Settings(**words))
+    return estimate_frf(ls.Recording(info, RATE, {"z_v": z, "y_rad": y}), loop, Settings(**words))
 
 
 @settings(max_examples=40, deadline=None)

@@ -2,19 +2,20 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from conversions import db
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.core.units import db
+import loopshape as ls
 from loopshape.data.algebra import controller_frf, inverse, lower_closure
-from loopshape.data.control.controller import Block, Controller
-from loopshape.identify.matrix.interaction import interaction, interaction_coefficient, relative_gain, square_part
+from loopshape.identify.matrix.interaction import interaction_coefficient, relative_gain, square_part
 
 NAMES = ("theta1", "theta2")
 
 
 def controllers(gain=5.0, names=NAMES):
     blocks = (Block("gain", {"gain": gain}), Block("lead_lag", {"f1_hz": 0.5, "f2_hz": 9.0}))
-    return {name: Controller(name, blocks, 1000.0) for name in names}
+    return {name: ls.Controller(name, blocks, 1000.0) for name in names}
 
 
 def random_matrix(n, seed=1):
@@ -73,7 +74,7 @@ def test_an_equivalent_plant_is_the_closure_with_its_covariance():
         rng = np.random.default_rng(4)
         root = 0.01 * (rng.standard_normal((F.size, n * n, n * n)) + 1j * rng.standard_normal((F.size, n * n, n * n)))
         frf = matrix_frf(random_matrix(n), root @ root.conj().transpose(0, 2, 1), loop="+".join(names))
-        found = interaction(frf, controllers=controllers(names=names)).equivalents
+        found = ls.interaction(frf, controllers=controllers(names=names)).equivalents
         for i, name in enumerate(names):
             rest = [k for k in range(n) if k != i]
             K = controller_frf([controllers(names=names)[names[k]] for k in rest], F,
@@ -88,7 +89,7 @@ def test_an_equivalent_plant_is_the_closure_with_its_covariance():
 
 def test_with_two_loops_closing_one_changes_the_other_by_1_minus_k_T():
     P, C = coupled_by(-6.0), controllers()
-    found = interaction(matrix_frf(P, error=0.02), controllers=C)
+    found = ls.interaction(matrix_frf(P, error=0.02), controllers=C)
     L = P[:, 1, 1] * C["theta2"].response(F)
     np.testing.assert_allclose(found.equivalents[0].ratio, 1.0 - k_of(P).coefficient * L / (1.0 + L))
 
@@ -97,7 +98,7 @@ def test_an_equivalent_plant_goes_to_the_open_one_as_the_others_open():
     frf = matrix_frf(coupled_by(-6.0), error=0.02)
     changes = []
     for gain in (1e-1, 1e-2, 1e-3):
-        one = interaction(frf, controllers=controllers(gain)).equivalents[0]
+        one = ls.interaction(frf, controllers=controllers(gain)).equivalents[0]
         changes.append(np.abs(one.ratio - 1.0).max())
         assert (one.low <= np.abs(one.ratio)).all()
         assert (np.abs(one.ratio) <= one.high).all()
@@ -115,11 +116,11 @@ def test_loops_are_chosen_by_name_and_rows_follow():
     assert part.outputs == ("p_a_rad", "theta1_rad")
     np.testing.assert_array_equal(part.response, P[:, [2, 0]][:, :, [2, 0]])
     np.testing.assert_allclose(part.variance, frf.variance[:, [2, 0]][:, :, [2, 0]])
-    found = interaction(frf, ("p_a", "theta1"), limit_db=-15.0)
+    found = ls.interaction(frf, ("p_a", "theta1"), limit_db=-15.0)
     assert found.coefficients[0].loops == ("p_a", "theta1")
     assert {v.limit_db for v in found.verdicts} == {-15.0}
     assert found.equivalents == ()
-    assert len(interaction(frf).coefficients) == 3
+    assert len(ls.interaction(frf).coefficients) == 3
 
 
 def test_rows_of_a_tall_matrix_are_found_by_name_or_named():

@@ -4,11 +4,11 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+from bench_nouns import Follows, GainScheduled, gain_scheduled
 from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.core.kernels import scheduled
-from loopshape.data.control.gain_scheduled import Follows, GainScheduled, gain_scheduled
 
 RATE_HZ = 1000.0
 

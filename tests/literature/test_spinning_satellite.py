@@ -7,11 +7,10 @@ singular value of T is 10.05 at low frequency; with gains 1 + e and 1 - e stabil
 
 import numpy as np
 import pytest
+from conversions import TWO_PI, from_db
 from several_cases import frf_of, gain, loops
 
-from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
-from loopshape.loop.matrix.several import check_several
+import loopshape as ls
 from loopshape.loop.matrix.several_margins import several_margins
 
 A = 10.0
@@ -58,9 +57,9 @@ def test_gains_just_inside_and_outside(share, stable):
 
 @pytest.mark.long
 def test_a_check_passes_each_loop_and_fails_the_pair():
-    wished = [Requirements(name, gain_margin_db=6.0, phase_margin_deg=45.0, modulus_margin=0.6) for name in "ab"]
-    wanted = SeveralRequirements(disk_margin=0.5, integrators=0, unstable_poles=0)
-    found = check_several([frf_of(F, satellite(F), loop="a+b")], BOTH, wished, wanted)
+    wished = [ls.Requirements(name, gain_margin_db=6.0, phase_margin_deg=45.0, modulus_margin=0.6) for name in "ab"]
+    wanted = ls.SeveralRequirements(disk_margin=0.5, integrators=0, unstable_poles=0)
+    found = ls.check([frf_of(F, satellite(F), loop="a+b")], BOTH, wished, together=wanted)
     for verdict in found.each:
         assert verdict.passed
         assert [line.outcome for line in verdict.lines] == ["passed"] * 3

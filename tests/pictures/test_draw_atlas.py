@@ -6,12 +6,12 @@ import loop_nouns
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from bench_nouns import Loop
+from conversions import db
 from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 
-from loopshape.core.units import db
-from loopshape.data.control.loop import Loop
-from loopshape.data.result.verdict import Verdict
+import loopshape as ls
 from loopshape.loop.points import point_outcome
 from loopshape.view.verdict.atlas import beyond, cells, levels_with, sensitivity_atlas, sorted_points, zero_crossings
 from loopshape.view.verdict.verdicts import ink_on, luminance, missed_colours, near_colours, room_colours
@@ -132,7 +132,7 @@ def test_an_unstable_row_is_hatched_and_says_so() -> None:
     some = [loops[0], loops[1]]
     names = [loop.plant.recording for loop in some]
     margins = {names[0]: replace(verdict.margins[names[0]], stable="unstable"), names[1]: verdict.margins[names[1]]}
-    ax = sensitivity_atlas(some, requirements, verdict=Verdict("theta2", (), margins)).axes[0]
+    ax = sensitivity_atlas(some, requirements, verdict=ls.Verdict("theta2", (), margins)).axes[0]
     (hatched,) = [patch for patch in ax.patches if patch.get_gid() == "unstable"]
     assert hatched.get_hatch() == "////"
     assert "unstable" in {text.get_text() for text in ax.texts}

@@ -4,13 +4,13 @@ import loop_nouns
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from bench_nouns import Loop
+from conversions import db
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from loopshape.core.units import db
-from loopshape.data.control.loop import Loop
-from loopshape.data.result.verdict import Verdict
+import loopshape as ls
 from loopshape.loop.points import band
 from loopshape.view.plots.bode import bode_page
 from loopshape.view.plots.curves import loop_phase_deg
@@ -23,13 +23,13 @@ def by_gid(ax: Axes, gid: str | None) -> list:
 
 
 @pytest.fixture(scope="module")
-def page() -> tuple[Figure, Loop, Verdict]:
+def page() -> tuple[Figure, Loop, ls.Verdict]:
     frf = loop_nouns.noisy(loop_nouns.plant())
     loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.wished(complementary_peak_db=6.0))
     return bode_page(loop, loop_nouns.wished(complementary_peak_db=6.0), verdict=verdict), loop, verdict
 
 
-def test_labels_and_units(page: tuple[Figure, Loop, Verdict]) -> None:
+def test_labels_and_units(page: tuple[Figure, Loop, ls.Verdict]) -> None:
     labels = [ax.get_ylabel() for ax in page[0].axes]
     assert labels == [
         "|P| [dB re rad/V]", "phase of P [deg]", "|C| [dB re V/rad]", "phase of C [deg]",
@@ -39,7 +39,7 @@ def test_labels_and_units(page: tuple[Figure, Loop, Verdict]) -> None:
     assert "|1 + L| = " in page[0].texts[1].get_text() or "least |1 + L|" in page[0].texts[1].get_text()
 
 
-def test_curves_are_the_loops_own_between_their_bands(page: tuple[Figure, Loop, Verdict]) -> None:
+def test_curves_are_the_loops_own_between_their_bands(page: tuple[Figure, Loop, ls.Verdict]) -> None:
     figure, loop, _ = page
     for k, name in ((0, "P"), (4, "L"), (6, "S"), (7, "T")):
         curve = by_gid(figure.axes[k], None)[0]
@@ -55,7 +55,7 @@ def test_curves_are_the_loops_own_between_their_bands(page: tuple[Figure, Loop, 
     assert np.allclose(phases[0][:lines, 1], phase + band(loop, "L").low_deg)
 
 
-def test_lines_as_measured_are_dots_near_the_curve(page: tuple[Figure, Loop, Verdict]) -> None:
+def test_lines_as_measured_are_dots_near_the_curve(page: tuple[Figure, Loop, ls.Verdict]) -> None:
     figure, loop, _ = page
     raw = loop.raw
     (dots,) = by_gid(figure.axes[0], "measured")
@@ -66,7 +66,7 @@ def test_lines_as_measured_are_dots_near_the_curve(page: tuple[Figure, Loop, Ver
     assert np.max(np.abs(dots.get_ydata() - near)) < 60.0  # 10 % noise: 4 degrees of deviation; a turn would be 360
 
 
-def test_margins_and_peaks_stand_where_the_verdict_has_them(page: tuple[Figure, Loop, Verdict]) -> None:
+def test_margins_and_peaks_stand_where_the_verdict_has_them(page: tuple[Figure, Loop, ls.Verdict]) -> None:
     figure, _, verdict = page
     m = verdict.margins["noisy"]
     (bar,) = by_gid(figure.axes[4], "gain margin")
@@ -87,7 +87,7 @@ def test_margins_and_peaks_stand_where_the_verdict_has_them(page: tuple[Figure, 
     assert figure.axes[4].get_title(loc="left").startswith(f"gain margin {m.gain_margin_db:.2f} dB (95 %: ")
 
 
-def test_limits_are_drawn(page: tuple[Figure, Loop, Verdict]) -> None:
+def test_limits_are_drawn(page: tuple[Figure, Loop, ls.Verdict]) -> None:
     figure, _, _ = page
     for ax in figure.axes[6:]:
         (limit,) = by_gid(ax, "limit")

@@ -3,11 +3,11 @@
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from conversions import angular, db, rad
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import angular, db, rad
+import loopshape as ls
 from loopshape.view.plots import frequency
 from loopshape.view.plots.curves import magnitude_band_db, unwrapped_deg
 from loopshape.view.style import new_figure
@@ -163,9 +163,9 @@ def test_a_picture_draws_into_the_axes_it_is_given() -> None:
 
 
 def test_an_overview_without_frfs_or_with_too_few_fits_is_refused() -> None:
-    with pytest.raises(WrongUseError, match="0 FRFs"):
+    with pytest.raises(ls.errors.WrongUseError, match="0 FRFs"):
         frequency.frf_overview([])
-    with pytest.raises(WrongUseError, match="2 FRFs and 1 fits"):
+    with pytest.raises(ls.errors.WrongUseError, match="2 FRFs and 1 fits"):
         frequency.frf_overview(nouns.frfs()[:2], nouns.fits()[:1])
 
 

@@ -4,17 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from conversions import db
 from interaction_nouns import F, coupled_by, matrix_frf
 
-from loopshape.core.units import db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.identify.matrix.interaction import interaction
+import loopshape as ls
 from loopshape.view.plots.interaction import coefficients, interaction_page, relative_gains
 from loopshape.view.plots.matrix import matrix_overview, matrix_page, settled
 from loopshape.view.style import png
 
 NAMES = ("theta1", "theta2")
-K = {name: Controller(name, (Block("gain", {"gain": 4.0}),), 1000.0) for name in NAMES}
+K = {name: ls.Controller(name, (Block("gain", {"gain": 4.0}),), 1000.0) for name in NAMES}
 COHERENT = {
     "multiple_coherence": np.full((F.size, 2), 0.9),
     "partial_coherence": np.full((F.size, 2, 2), 0.8),
@@ -95,7 +95,7 @@ def test_many_outputs_are_a_map_of_each_input():
 
 
 def test_k_stands_with_its_band_the_limit_and_the_verdicts(frf):
-    found = interaction(frf, controllers=K)
+    found = ls.interaction(frf, controllers=K)
     ax = coefficients(found)
     np.testing.assert_allclose(ax.lines[0].get_ydata(), db(found.coefficients[0].coefficient))
     assert line(ax, "limit").get_ydata()[0] == -20.0
@@ -111,7 +111,7 @@ def test_k_stands_with_its_band_the_limit_and_the_verdicts(frf):
 
 
 def test_a_page_shows_gains_closing_and_coherences(frf):
-    found = interaction(frf, controllers=K)
+    found = ls.interaction(frf, controllers=K)
     figure = interaction_page(found)
     assert len(figure.axes) == 6
     gain = panel(figure, "RGA")
@@ -131,7 +131,7 @@ def test_a_page_shows_gains_closing_and_coherences(frf):
 
 def test_without_controllers_and_coherences_two_panels_are_left(frf):
     bare = replace(frf, multiple_coherence=None, partial_coherence=None)
-    figure = interaction_page(interaction(bare))
+    figure = interaction_page(ls.interaction(bare))
     assert len(figure.axes) == 2
     assert figure.axes[0].get_xlabel() == figure.axes[1].get_xlabel() == "frequency [Hz]"
 
@@ -140,7 +140,7 @@ def test_k_that_may_be_zero_is_dots():
     P = coupled_by(-40.0)
     C = np.zeros((F.size, 4, 4), dtype=complex)
     C[:, 2, 2] = (5.0 * np.abs(P[:, 0, 1])) ** 2
-    ax = coefficients(interaction(matrix_frf(P, C)))
+    ax = coefficients(ls.interaction(matrix_frf(P, C)))
     assert next(x for x in ax.lines if x.get_linestyle() == "-").get_xdata().size == 0
     assert next(x for x in ax.lines if x.get_marker() == ".").get_xdata().size == F.size
 
@@ -148,7 +148,7 @@ def test_k_that_may_be_zero_is_dots():
 def test_three_loops_have_a_curve_and_a_strip_a_pair():
     rng = np.random.default_rng(1)
     G = np.diag([1.0, 0.5, 2.0]) + 0.05 * rng.standard_normal((3, 3))
-    found = interaction(matrix_frf(G, error=0.05, seed=1, loop="theta1+theta2+p_a"))
+    found = ls.interaction(matrix_frf(G, error=0.05, seed=1, loop="theta1+theta2+p_a"))
     ax = coefficients(found)
     assert len(ax.get_legend().get_texts()) == 3 + len({v.verdict for v in found.verdicts})
     assert len({p.get_y() for p in ax.patches if str(p.get_gid()).startswith("verdict")}) == 3
@@ -161,7 +161,7 @@ def test_four_loops_give_k_the_width_of_the_page_and_a_key_of_pairs():
     names = "theta1+theta2+p_a+p_c"
     frf = matrix_frf(G, error=0.05, seed=1, loop=names, trusted=F > 0.3, multiple_coherence=np.full((F.size, 4), 0.9),
                      partial_coherence=np.full((F.size, 4, 4), 0.9), averages=20.0)  # fmt: skip
-    figure = interaction_page(interaction(frf))
+    figure = interaction_page(ls.interaction(frf))
     figure.draw_without_rendering()
     first, gain, multiple = figure.axes  # sixteen partial coherences could not be told apart
     assert first.get_position().width > 1.8 * gain.get_position().width

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from bench_nouns import Loop
+from conversions import db
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import db
-from loopshape.data.control.loop import Loop
+import loopshape as ls
 from loopshape.loop.points import band, worst_of
 from loopshape.view.labels import point
 from loopshape.view.plots import loops as pictures
@@ -93,5 +93,5 @@ def test_controllers_that_differ_are_drawn_each() -> None:
 
 def test_pictures_without_loops_are_refused() -> None:
     for picture in (nichols, pictures.loop_page, pictures.sensitivities):
-        with pytest.raises(WrongUseError, match="at least one"):
+        with pytest.raises(ls.errors.WrongUseError, match="at least one"):
             picture([], None)

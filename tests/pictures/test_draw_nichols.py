@@ -6,11 +6,11 @@ import loop_nouns
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from conversions import db, deg, from_db, rad
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.path import Path
 
-from loopshape.core.units import db, deg, from_db, rad
 from loopshape.loop.points import worst_of
 from loopshape.view.labels import point
 from loopshape.view.plots.curves import loop_phase_deg

@@ -6,12 +6,10 @@ import loop_nouns
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import deg
 
-from loopshape.core.units import deg
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.view.plots.curves import (
     continuous_deg,
     controller_phase_deg,
@@ -31,7 +29,7 @@ def true_phase_deg(truth: TransferFunction, f: np.ndarray, start_deg: float) -> 
     return (phase + (start_deg - phase[0]))[np.searchsorted(dense, f)]
 
 
-def loop_of(frf: FRF, integrators: int | None = 1, controller: Controller | None = None) -> Loop:
+def loop_of(frf: ls.FRF, integrators: int | None = 1, controller: ls.Controller | None = None) -> Loop:
     return Loop(frf, controller or loop_nouns.gain(), integrators, unstable_poles=0)
 
 
@@ -119,13 +117,13 @@ def test_a_negative_gain_lags_by_half_a_turn() -> None:
 def test_the_controllers_phase_comes_from_far_below() -> None:
     f = np.geomspace(5.0, 200.0, 50)
     pi = Block("pi", {"f_hz": 400.0})  # still near -90 degrees on all lines
-    assert abs(controller_phase_deg(Controller("x", (pi,), 1000.0), f)[0] + 90.0) < 3.0
+    assert abs(controller_phase_deg(ls.Controller("x", (pi,), 1000.0), f)[0] + 90.0) < 3.0
     notch = Block("notch", {"f1_hz": 1.0, "f2_hz": 1.0, "damping1": 0.05, "damping2": 1.0})
-    assert abs(controller_phase_deg(Controller("x", (notch,), 1000.0), f)[0]) < 90.0  # below the lines it came back
-    both = controller_phase_deg(Controller("x", (pi, pi), 1000.0), f)
+    assert abs(controller_phase_deg(ls.Controller("x", (notch,), 1000.0), f)[0]) < 90.0  # below the lines it came back
+    both = controller_phase_deg(ls.Controller("x", (pi, pi), 1000.0), f)
     assert abs(both[0] + 180.0) < 6.0
     slow = Block("low_pass_2", {"f_hz": 0.5, "damping": 0.7})  # has turned by half a turn below the lines
-    three = controller_phase_deg(Controller("x", (pi, slow, slow), 1000.0), f)
+    three = controller_phase_deg(ls.Controller("x", (pi, slow, slow), 1000.0), f)
     assert abs(three[0] + 450.0) < 20.0
 
 

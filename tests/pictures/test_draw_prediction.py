@@ -2,24 +2,22 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Step, StepComparison
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction, Step, StepComparison
+import loopshape as ls
 from loopshape.loop.predict.indicators import indicators
 from loopshape.loop.predict.prediction import compare, sensitivity_of
 from loopshape.view.style import png
 from loopshape.view.verdict.prediction import comparison_grid, prediction_page, steps_grid
 
-GAIN = Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
+GAIN = ls.Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
 T = np.linspace(0.0, 2.0, 200)
 
 
-def sensitivity(point: float, gain: float = 1.0) -> FRF:
+def sensitivity(point: float, gain: float = 1.0) -> ls.FRF:
     f = np.geomspace(0.1, 20.0, 40)
     P = gain / (2j * np.pi * f)
-    frf = FRF(
+    frf = ls.FRF(
         f, P[:, None, None], (1e-3 * np.abs(P) ** 2)[:, None, None].astype(complex), np.ones(40, dtype=bool), ("z_v",),
         ("theta2_rad",), "made", recording=f"r{point:g}", loop="theta2", rate_hz=1000.0, held_by=GAIN,
         operating_point={"theta2_deg": point},
@@ -32,8 +30,8 @@ def step() -> Step:
     return Step(T, y, y - 0.05, y + 0.05, indicators(T, y), "fit")
 
 
-def predictions() -> list[Prediction]:
-    return [Prediction(sensitivity(p), "stable", step()) for p in (0.0, 15.0)]
+def predictions() -> list[ls.Prediction]:
+    return [ls.Prediction(sensitivity(p), "stable", step()) for p in (0.0, 15.0)]
 
 
 def test_a_prediction_shows_s_t_and_the_step_with_bands() -> None:
@@ -77,5 +75,5 @@ def test_steps_are_drawn_over_the_predicted_band() -> None:
 
 def test_pictures_of_nothing_are_refused() -> None:
     for call in (lambda: prediction_page([]), lambda: comparison_grid([], [], []), lambda: steps_grid([])):
-        with pytest.raises(WrongUseError):
+        with pytest.raises(ls.errors.WrongUseError):
             call()

@@ -2,24 +2,24 @@
 
 import numpy as np
 import pytest
+from conversions import TWO_PI, db
 from several_cases import frf_of, gain
 
-from loopshape.core.units import TWO_PI, db
-from loopshape.data.requirement.requirements import SeveralRequirements
-from loopshape.loop.matrix.several import check_several, loop_matrices
+import loopshape as ls
+from loopshape.loop.matrix.several import loop_matrices
 from loopshape.view.verdict.several import determinant, disk_margins, loci, several_page, singular_values, summary
 
 F = np.geomspace(0.05, 50.0, 150)
 S = 1j * TWO_PI * F
 CONTROLLERS = [gain("theta1"), gain("theta2")]
-WISHED = SeveralRequirements(disk_margin=0.6, sensitivity_peak_db=8.0, complementary_peak_db=6.0)
+WISHED = ls.SeveralRequirements(disk_margin=0.6, sensitivity_peak_db=8.0, complementary_peak_db=6.0)
 
 
 def case(units):
     G = np.array([[1.0, 0.4], [-0.4, 1.0]]) * (5.0 / (S * (0.02 * S + 1.0)))[:, None, None]
     frf = frf_of(F, G, 0.02, units=units, loop="theta1+theta2")
-    wished = WISHED if units is None else SeveralRequirements(disk_margin=0.6, modulus_margin=0.4)
-    verdict = check_several([frf], CONTROLLERS, several=wished)
+    wished = WISHED if units is None else ls.SeveralRequirements(disk_margin=0.6, modulus_margin=0.4)
+    verdict = ls.check([frf], CONTROLLERS, together=wished)
     matrices, _ = loop_matrices([frf], CONTROLLERS, wished)
     return matrices["exact"], verdict, wished
 

@@ -8,7 +8,7 @@ import picture_nouns as nouns
 import pytest
 from matplotlib.axes import Axes
 
-from loopshape.data.result.verdict import Verdict
+import loopshape as ls
 from loopshape.loop.points import point_outcome
 from loopshape.view.style import figure_of
 from loopshape.view.verdict import verdicts
@@ -64,7 +64,7 @@ def test_an_unstable_loop_is_a_cross_whatever_its_numbers_say_and_is_named() -> 
     _, _, verdict = loop_nouns.arm()
     found = dict(verdict.margins)
     found["r01"] = replace(found["r01"], stable="unstable")
-    figure = verdicts.margins_map(Verdict("theta2", verdict.lines, found))
+    figure = verdicts.margins_map(ls.Verdict("theta2", verdict.lines, found))
     (cross,) = by_gid(figure.axes[0], "unstable")
     assert list(cross.get_xdata()) == [0]
     assert cross.get_marker() == MARKS["failed"]["marker"]
@@ -75,7 +75,7 @@ def test_an_interval_without_end_does_not_stretch_the_axes() -> None:
     _, _, verdict = loop_nouns.arm()
     found = dict(verdict.margins)
     found["r01"] = replace(found["r01"], intervals={"gain_margin_db": (3.0, float("inf"))})
-    ax = verdicts.margin(Verdict("theta2", verdict.lines, found), verdict.lines[0])
+    ax = verdicts.margin(ls.Verdict("theta2", verdict.lines, found), verdict.lines[0])
     assert np.isfinite(ax.get_ylim()).all()
     assert ax.get_ylim()[1] < 100.0
     (bar,) = [line for line in by_gid(ax, "interval") if line.get_xdata()[0] == 0]

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from algebra_nouns import any_frf
+from bench_nouns import Block
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.data.algebra import (
     add,
     channels,
@@ -19,19 +20,16 @@ from loopshape.data.algebra import (
     regrid,
     upper_closure,
 )  # fmt: skip
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.control_frd import from_control, to_control
 from loopshape.loop.verdict import check
 
 RNG = np.random.default_rng(1)
 A, B = any_frf(RNG, 2, 2), any_frf(RNG, 2, 2)
 CHAIN = replace(B, outputs=A.inputs)
-GAIN = Controller("x", (Block("gain", {"gain": 1.0}),), 100.0)
+GAIN = ls.Controller("x", (Block("gain", {"gain": 1.0}),), 100.0)
 
 
 def no(words, do, *given, **more):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         do(*given, **more)
 
 
@@ -107,10 +105,10 @@ def test_the_hold_is_multiplied_in_once():
 def test_that_the_hold_is_included_is_a_field_and_no_word_of_the_method():
     one = replace(held(A, 100.0), method="bench", notes=())
     no("already", held, one, 100.0)
-    no("already", held, from_control(to_control(one), relative_std=0.0), 100.0)
+    no("already", held, ls.from_control(ls.to_control(one), relative_std=0.0), 100.0)
     with_hold = replace(GAIN, added_hold=True)
     plant = replace(held(any_frf(RNG, 1, 1), GAIN.rate_hz), method="bench", notes=(), loop=GAIN.loop)
-    no("contains the hold already", check, [plant], with_hold, Requirements(GAIN.loop, bandwidth_hz=1.0))
+    no("contains the hold already", check, [plant], with_hold, ls.Requirements(GAIN.loop, bandwidth_hz=1.0))
 
 
 def test_regridding_never_extrapolates():

@@ -5,40 +5,37 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from run_files import write_verdicts
 
+import loopshape as ls
 from loopshape.cli.output import Output
 from loopshape.cli.verify.report import report
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
 from loopshape.io.write.check_files import LoopCheck, against
-from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.baseline import checked
-from loopshape.loop.verdict import check
 
-OWN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
-WISHED = Requirements("a", phase_margin_deg=10.0, integrators=1)
+OWN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
+WISHED = ls.Requirements("a", phase_margin_deg=10.0, integrators=1)
 
 
 @pytest.mark.parametrize("size", [np.inf, np.nan, 1e300, -1.0])
 def test_pictures_of_no_size(tmp_path: Path, size: float) -> None:
-    with pytest.raises(WrongUseError, match="size of the embedded pictures"):
+    with pytest.raises(ls.errors.WrongUseError, match="size of the embedded pictures"):
         report(tmp_path, figures_mb=size)
 
 
-def frf(gain: float, rate_hz: float) -> FRF:
+def frf(gain: float, rate_hz: float) -> ls.FRF:
     f = np.geomspace(0.01, 10.0, 60)
     P = gain / (2j * np.pi * f)
-    return FRF(
+    return ls.FRF(
         f, P[:, None, None], (1e-6 * np.abs(P) ** 2)[:, None, None].astype(complex), np.ones(60, dtype=bool), ("z_v",),
         ("a_rad",), "made", recording="r", loop="a", rate_hz=rate_hz,
     )  # fmt: skip
 
 
-def judged(gain: float, controller: Controller) -> LoopCheck:
+def judged(gain: float, controller: ls.Controller) -> LoopCheck:
     one = frf(gain, controller.rate_hz)
-    return LoopCheck((one,), WISHED, (), checked(check([one], controller, WISHED), controller, [one]), ())
+    return LoopCheck((one,), WISHED, (), checked(ls.check([one], controller, WISHED), controller, [one]), ())
 
 
 @pytest.mark.parametrize(("rate_hz", "told_apart"), [(500.0, False), (1000.0, True)])

@@ -3,13 +3,11 @@
 import json
 
 import pytest
+from bench_nouns import Detuning, Lost, MovedResonance, Reach
+from run_files import read_verdicts, write_verdicts
 from verdict_cases import checked, margins
 
-from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
-from loopshape.io.write.requirements import read_requirements
-from loopshape.io.write.verdicts import read_verdicts, write_verdicts
+import loopshape as ls
 
 DETUNING = Detuning(
     up=Reach(1.5, False, "gain_margin_db", (1.2, 1.7)),
@@ -24,9 +22,9 @@ DETUNING = Detuning(
 
 @pytest.mark.parametrize("percent", [-1.0, 0.0, float("nan"), float("inf"), 20.5])
 def test_a_shift_that_makes_no_sense(percent):
-    with pytest.raises(WrongUseError, match="detuning_percent of loop 'axis' must"):
-        Requirements("axis", detuning_percent=percent)
-    Requirements("axis", detuning_percent=20.0)
+    with pytest.raises(ls.errors.WrongUseError, match="detuning_percent of loop 'axis' must"):
+        ls.Requirements("axis", detuning_percent=percent)
+    ls.Requirements("axis", detuning_percent=20.0)
 
 
 @pytest.mark.parametrize("written", ['"2 %"', "true", "-2.0", "nan", "30", "[1, 2]"])
@@ -34,10 +32,10 @@ def test_a_file_with_a_shift_that_makes_no_sense(written, tmp_path):
     path = tmp_path / "r.toml"
     text = 'format = "loopshape-requirements/1"\n[[loop]]\nname = "axis"\ndetuning_percent = '
     path.write_text(text + written)
-    with pytest.raises((WrongUseError, UnreadableInputError), match="detuning_percent"):
-        read_requirements(path)
+    with pytest.raises((ls.errors.WrongUseError, ls.errors.UnreadableInputError), match="detuning_percent"):
+        ls.read_requirements(path)
     path.write_text(f"{text}2.5")
-    assert read_requirements(path)[0].detuning_percent == 2.5
+    assert ls.read_requirements(path)[0].detuning_percent == 2.5
 
 
 def test_a_verdict_with_a_detuning_comes_back_and_a_damaged_one_is_refused(tmp_path):
@@ -50,5 +48,5 @@ def test_a_verdict_with_a_detuning_comes_back_and_a_damaged_one_is_refused(tmp_p
     for damage in (5, "x", {"up": 1}, {"up": {"percent": "much"}}, []):
         whole["loops"][0]["margins"]["r1"]["detuning"] = damage
         path.write_text(json.dumps(whole))
-        with pytest.raises(UnreadableInputError, match="cannot be read as verdicts"):
+        with pytest.raises(ls.errors.UnreadableInputError, match="cannot be read as verdicts"):
             read_verdicts(path)

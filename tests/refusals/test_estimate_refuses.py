@@ -4,21 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopSetup, RecordingInfo, Settings
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix.matrix import estimate_matrix
-from loopshape.identify.settings import Settings
 
 RATE, N = 100.0, 4000
-LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", Controller("axis", (Block("gain", {"gain": 0.5}),), RATE))
+LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", ls.Controller("axis", (Block("gain", {"gain": 0.5}),), RATE))
 INFO = RecordingInfo("r1.parquet", "noise", "controller_input", excites="axis")
 
 
@@ -30,7 +24,7 @@ def recording(n=N, *, drop=(), offset=0.0, setpoint=0.0, columns=None, **info):
     z = 0.5 * lfilter([1.0, -0.9], [1.0, -0.85], into)
     y = lfilter([0.0, 0.05], [1.0, -0.85], into) + v + offset
     whole = {"r_rad": np.full(n, setpoint), "n_rad": moved, "z_v": z, "y_rad": y} | (columns or {})
-    return Recording(replace(INFO, **info), RATE, {k: x for k, x in whole.items() if k not in drop})
+    return ls.Recording(replace(INFO, **info), RATE, {k: x for k, x in whole.items() if k not in drop})
 
 
 def refusal(error, call):
@@ -40,7 +34,7 @@ def refusal(error, call):
 
 
 def estimate_refusal(settings=None, **words):
-    return refusal(BadSignalError, lambda: estimate_frf(recording(**words), LOOP, settings))
+    return refusal(ls.errors.BadSignalError, lambda: estimate_frf(recording(**words), LOOP, settings))
 
 
 def test_a_column_that_is_missing_is_named():
@@ -81,19 +75,21 @@ def test_a_moving_reference_that_was_not_logged_is_refused():
 
 @pytest.mark.parametrize("words", [{"estimator": "spectral"}, {"estimator": ""}])
 def test_an_unknown_estimator_is_refused(words):
-    text = refusal(WrongUseError, lambda: Settings(**words))
+    text = refusal(ls.errors.WrongUseError, lambda: Settings(**words))
     assert "an estimator is not known" in text
     assert "use reference, direct, joint" in text
 
 
 @pytest.mark.parametrize("overlap", [-0.1, 0.95, 1.0, float("nan")])
 def test_an_overlap_out_of_range_is_refused(overlap):
-    assert "between 0 and 0.9" in refusal(WrongUseError, lambda: Settings(overlap=overlap))
+    assert "between 0 and 0.9" in refusal(ls.errors.WrongUseError, lambda: Settings(overlap=overlap))
 
 
 @pytest.mark.parametrize("resolution_hz", [0.0, -1.0, float("nan")])
 def test_a_resolution_that_is_not_positive_is_refused(resolution_hz):
-    assert "resolution must be positive" in refusal(WrongUseError, lambda: Settings(resolution_hz=resolution_hz))
+    assert "resolution must be positive" in refusal(
+        ls.errors.WrongUseError, lambda: Settings(resolution_hz=resolution_hz)
+    )
 
 
 @pytest.mark.parametrize("n", [60, 237, 1001, 4000])
@@ -141,43 +137,47 @@ def test_a_record_that_knows_no_line_well_says_so():
     frf = estimate_frf(recording(columns={"y_rad": 1e3 * rng.standard_normal(N)}), LOOP)
     assert not frf.trusted.any()
     assert "is known to 10 %: excite more or measure longer" in " ".join(frf.notes)
-    text = refusal(WrongUseError, frf.trusted_lines)
+    text = refusal(ls.errors.WrongUseError, frf.trusted_lines)
     assert "no frequency of the FRF axis r1 is valid" in text
     assert np.isnan(frf.trusted_band_hz).all()
 
 
 def test_a_run_without_excited_loops_is_refused():
-    run = Run(RATE, (LOOP,), (recording(excites=None),))
-    assert "no estimation recording of the run excites a loop" in refusal(BadSignalError, lambda: ls.frfs(run))
+    run = ls.Run(RATE, (LOOP,), (recording(excites=None),))
+    assert "no estimation recording of the run excites a loop" in refusal(
+        ls.errors.BadSignalError, lambda: ls.frfs(run)
+    )
 
 
 def test_a_validation_recording_is_held_out():
     held = recording(role="validation", file="held.parquet")
-    assert [frf.recording for frf in ls.frfs(Run(RATE, (LOOP,), (held, recording())))] == ["r1"]
-    text = refusal(BadSignalError, lambda: ls.frfs(Run(RATE, (LOOP,), (held,))))
+    assert [frf.recording for frf in ls.frfs(ls.Run(RATE, (LOOP,), (held, recording())))] == ["r1"]
+    text = refusal(ls.errors.BadSignalError, lambda: ls.frfs(ls.Run(RATE, (LOOP,), (held,))))
     assert "no estimation recording of the run excites a loop" in text
     assert 'role = "estimation"' in text
 
 
 def test_a_run_names_its_loops_where_one_is_unknown():
-    run = Run(RATE, (LOOP,), (recording(excites="elbow"),))
-    text = refusal(WrongUseError, lambda: ls.frfs(run))
+    run = ls.Run(RATE, (LOOP,), (recording(excites="elbow"),))
+    text = refusal(ls.errors.WrongUseError, lambda: ls.frfs(run))
     assert "'elbow'" in text
     assert "its loops are axis" in text
 
 
 def test_a_matrix_needs_one_recording_for_each_loop():
     second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", None)
-    run = Run(RATE, (LOOP, second), (recording(),))
-    empty = refusal(WrongUseError, lambda: estimate_matrix(run, []))
+    run = ls.Run(RATE, (LOOP, second), (recording(),))
+    empty = refusal(ls.errors.WrongUseError, lambda: estimate_matrix(run, []))
     assert "recordings that excite its loops" in empty
-    twice = refusal(WrongUseError, lambda: estimate_matrix(Run(RATE, (LOOP,), ()), [recording(), recording()]))
+    twice = refusal(
+        ls.errors.WrongUseError, lambda: estimate_matrix(ls.Run(RATE, (LOOP,), ()), [recording(), recording()])
+    )
     assert "both excite axis" in twice
 
 
 def test_a_loop_that_no_recording_excites_has_no_column_and_that_is_said():
     second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", LOOP.controller)
-    frf = estimate_matrix(Run(RATE, (LOOP, second), ()), [recording()], Settings(method="welch"))
+    frf = estimate_matrix(ls.Run(RATE, (LOOP, second), ()), [recording()], Settings(method="welch"))
     assert frf.loop == "axis"
     assert "no recording excites elbow" in " ".join(frf.notes)
 
@@ -185,7 +185,7 @@ def test_a_loop_that_no_recording_excites_has_no_column_and_that_is_said():
 def test_a_matrix_of_recordings_at_two_operating_points_is_refused():
     second = LoopSetup("elbow", "r_rad", "n_rad", "z_v", "y_rad", None)
     pair = [recording(operating_point={"x_m": 1.0}), recording(excites="elbow", operating_point={"x_m": 2.0})]
-    text = refusal(WrongUseError, lambda: estimate_matrix(Run(RATE, (LOOP, second), pair), pair))
+    text = refusal(ls.errors.WrongUseError, lambda: estimate_matrix(ls.Run(RATE, (LOOP, second), pair), pair))
     assert "differ in their operating point" in text
 
 
@@ -199,18 +199,18 @@ def some_frf(nf=5, ny=1, nu=1, **words):
         "outputs": tuple(f"y{k}_rad" for k in range(ny)),
         "method": "made up",
     }
-    return FRF(**given | words)
+    return ls.FRF(**given | words)
 
 
 def test_a_band_without_lines_is_refused_with_the_lines_there_are():
-    text = refusal(WrongUseError, lambda: some_frf().between(7.0, 9.0))
+    text = refusal(ls.errors.WrongUseError, lambda: some_frf().between(7.0, 9.0))
     assert "7 to 9 Hz" in text
     assert "the frequencies go from 1 to 5 Hz" in text
     assert some_frf().between(2.0, 4.0).frequency_hz.tolist() == [2.0, 3.0, 4.0]
 
 
 def test_one_response_of_a_matrix_is_refused():
-    text = refusal(WrongUseError, lambda: some_frf(ny=2).siso)
+    text = refusal(ls.errors.WrongUseError, lambda: some_frf(ny=2).siso)
     assert "one loop's response was requested from a FRF with several" in text
     assert "(2, 1)" in text
 
@@ -224,4 +224,4 @@ def test_one_response_of_a_matrix_is_refused():
     ],
 )
 def test_a_frf_that_does_not_fit_together_is_refused(words, said):
-    assert said in refusal(WrongUseError, lambda: some_frf(**words))
+    assert said in refusal(ls.errors.WrongUseError, lambda: some_frf(**words))

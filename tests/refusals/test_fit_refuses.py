@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Integrator, Rational, ThirdOrder
 
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.identify.fit import fit, fit_best, modes, structure_by_name
-from loopshape.identify.structures import Integrator, Rational, ThirdOrder
 
 
 def frf_of(nf=20, trusted=True, variance=1e-4, ny=1):
@@ -14,11 +13,11 @@ def frf_of(nf=20, trusted=True, variance=1e-4, ny=1):
     G = np.repeat((4.0 / (2j * np.pi * f))[:, None, None], ny, axis=1)
     covariance = np.tile(variance * np.eye(ny, dtype=complex), (nf, 1, 1)) * (np.abs(G[:, :1, :1]) ** 2)
     outputs = tuple(f"y{k}_rad" for k in range(ny))
-    return FRF(f, G, covariance, np.full(nf, trusted), ("z_v",), outputs, "made up", recording="r1", loop="axis")
+    return ls.FRF(f, G, covariance, np.full(nf, trusted), ("z_v",), outputs, "made up", recording="r1", loop="axis")
 
 
 def refusal(call):
-    with pytest.raises(WrongUseError) as caught:
+    with pytest.raises(ls.errors.WrongUseError) as caught:
         call()
     return str(caught.value)
 
@@ -76,7 +75,7 @@ def test_a_parameter_that_the_structure_does_not_have():
 
 
 def test_the_best_of_no_fits_at_all():
-    with pytest.raises((LoopshapeError, ValueError)):
+    with pytest.raises((ls.LoopshapeError, ValueError)):
         fit_best(frf_of(), [])
 
 
@@ -88,5 +87,5 @@ def test_a_frf_without_variance_is_answered_with_a_sentence(weighting):
 
 
 def test_modes_of_a_fit_that_is_not_rational():
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         modes(fit(frf_of(), Integrator(True)))

@@ -6,20 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block, BlockTemplate
+from run_files import read_frfs, read_toml, write_frfs, write_text_whole
 
-from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.control.block import BlockTemplate
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.io.files import read_toml, write_text_whole
-from loopshape.io.write.frfs import read_frfs, write_frfs
-from loopshape.loop.verdict import check
+import loopshape as ls
 
 
 def frf_of(**changes):
     f = np.geomspace(0.1, 100.0, 200)
-    made = FRF(
+    made = ls.FRF(
         f, (20.0 / (2j * np.pi * f))[:, None, None], np.full((f.size, 1, 1), 1e-8 + 0j), np.full(f.size, True),
         ("z_v",), ("y_rad",), "made up", recording="r1", loop="axis", rate_hz=1000.0,
     )  # fmt: skip
@@ -34,13 +29,13 @@ def with_zeros(rows, trusted=True):
 
 
 def checked(frf, **wished):
-    controller = Controller("axis", (Block("gain", {"gain": 1.0}),), 1000.0)
-    return check([frf], controller, Requirements("axis", phase_margin_deg=30.0, **{"unstable_poles": 0} | wished))
+    controller = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), 1000.0)
+    return ls.check([frf], controller, ls.Requirements("axis", phase_margin_deg=30.0, **{"unstable_poles": 0} | wished))
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])
 def test_an_output_file_without_a_name(path):
-    with pytest.raises(WrongUseError, match="an output file needs a name"):
+    with pytest.raises(ls.errors.WrongUseError, match="an output file needs a name"):
         write_text_whole(Path(path), "words")
 
 
@@ -54,7 +49,7 @@ def test_an_output_file_without_a_name(path):
     ],
 )
 def test_a_block_beyond_what_can_be_computed(kind, parameters, name):
-    with pytest.raises(WrongUseError, match=f"{name} of a {kind} block must not exceed"):
+    with pytest.raises(ls.errors.WrongUseError, match=f"{name} of a {kind} block must not exceed"):
         Block(kind, parameters)
 
 
@@ -62,7 +57,7 @@ def test_a_block_beyond_what_can_be_computed(kind, parameters, name):
     "table", [{"kind": "pi", "f_hz": {"min": 1.0, "max": 1e160}}, {"kind": "gain", "gain": {"min": 1.0, "max": 1e101}}]
 )
 def test_a_free_parameter_beyond_what_can_be_computed(table):
-    with pytest.raises(WrongUseError, match="block must not exceed"):
+    with pytest.raises(ls.errors.WrongUseError, match="block must not exceed"):
         BlockTemplate.from_table(table)
 
 
@@ -81,18 +76,18 @@ def test_a_free_parameter_beyond_what_can_be_computed(table):
     ],
 )
 def test_words_of_a_frf_that_make_no_sense(changes, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence):
         frf_of(**changes)
 
 
 @pytest.mark.parametrize("kind", [int, float])
 def test_a_real_response_is_refused_for_it_may_be_a_magnitude(kind):
-    with pytest.raises(WrongUseError, match=r"response of a FRF must be complex.*write H \+ 0j"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"response of a FRF must be complex.*write H \+ 0j"):
         frf_of(response=np.ones((200, 1, 1), dtype=kind))
 
 
 def test_a_dead_sensor():
-    with pytest.raises(WrongUseError, match="the FRF of loop axis, recording r1, is zero: a dead sensor"):
+    with pytest.raises(ls.errors.WrongUseError, match="the FRF of loop axis, recording r1, is zero: a dead sensor"):
         checked(with_zeros(slice(None)))
 
 
@@ -111,14 +106,14 @@ def test_half_a_character_in_a_frf(tmp_path):
         arrays = dict(file)
     header = json.loads(str(arrays.pop("header"))) | {"recording": "r\ud800"}
     np.savez(path, header=np.array(json.dumps(header)), **arrays)
-    with pytest.raises(UnreadableInputError, match="holds half a character"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="holds half a character"):
         read_frfs(tmp_path)
 
 
 def test_a_run_that_does_not_exist(tmp_path):
-    with pytest.raises(UnreadableInputError, match="folder does not exist"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="folder does not exist"):
         read_frfs(tmp_path / "none")
-    with pytest.raises(UnreadableInputError, match="no FRF yet"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="no FRF yet"):
         read_frfs(tmp_path)
 
 
@@ -130,6 +125,6 @@ def test_a_byte_order_mark_before_toml_is_accepted(tmp_path):
 
 @pytest.mark.parametrize(("name", "most"), [("phase_margin_deg", 180.0), ("modulus_margin", 1.0), ("disk_margin", 2.0)])
 def test_a_margin_that_no_loop_has(name, most):
-    Requirements("axis", **{name: most})
-    with pytest.raises(WrongUseError, match=f"{name} of loop 'axis' must not exceed {most:g}"):
-        Requirements("axis", **{name: 1.001 * most})
+    ls.Requirements("axis", **{name: most})
+    with pytest.raises(ls.errors.WrongUseError, match=f"{name} of loop 'axis' must not exceed {most:g}"):
+        ls.Requirements("axis", **{name: 1.001 * most})

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopMatrix
+from conversions import TWO_PI
+from run_files import read_required
 from several_cases import RATE_HZ, frf_of, gain
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import LoopMatrix
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
-from loopshape.io.write.requirements import read_required
+import loopshape as ls
 from loopshape.loop.matrix.several import check_several
 
 F = np.geomspace(0.01, 100.0, 100)
@@ -22,33 +20,33 @@ def frf(**fields):
 
 
 def test_no_matrix():
-    with pytest.raises(WrongUseError, match="there is no matrix FRF"):
+    with pytest.raises(ls.errors.WrongUseError, match="there is no matrix FRF"):
         check_several([], BOTH)
 
 
 def test_a_loop_without_a_controller():
-    with pytest.raises(WrongUseError, match=r"no controller for b.*controllers of a.*left out stay open"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"no controller for b.*controllers of a.*left out stay open"):
         check_several([frf()], BOTH[:1])
 
 
 def test_one_loop_alone():
-    with pytest.raises(WrongUseError, match=r"several loops are two at least.*loopshape check"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"several loops are two at least.*loopshape check"):
         check_several([frf()], BOTH, loops=["a"])
 
 
 def test_requirements_of_a_loop_that_is_not_closed():
-    with pytest.raises(WrongUseError, match=r"requirements are of no loop that is closed.*c.*loops: a, b"):
-        check_several([frf()], BOTH, [Requirements("c", modulus_margin=0.5)])
+    with pytest.raises(ls.errors.WrongUseError, match=r"requirements are of no loop that is closed.*c.*loops: a, b"):
+        check_several([frf()], BOTH, [ls.Requirements("c", modulus_margin=0.5)])
 
 
 def test_another_rate():
-    slow = [Controller(own.loop, own.blocks, 0.5 * RATE_HZ) for own in BOTH]
-    with pytest.raises(WrongUseError, match=r"have one rate; received 500000 Hz, 1e\+06 Hz"):
+    slow = [ls.Controller(own.loop, own.blocks, 0.5 * RATE_HZ) for own in BOTH]
+    with pytest.raises(ls.errors.WrongUseError, match=r"have one rate; received 500000 Hz, 1e\+06 Hz"):
         check_several([frf()], slow)
 
 
 def test_matrices_of_one_recording_twice():
-    with pytest.raises(WrongUseError, match="two FRFs of one loop come from the same recording"):
+    with pytest.raises(ls.errors.WrongUseError, match="two FRFs of one loop come from the same recording"):
         check_several([frf(), frf()], BOTH)
 
 
@@ -57,12 +55,14 @@ def test_singular_values_where_the_outputs_have_different_units():
     found = check_several([mixed], BOTH)
     assert np.isnan(found.margins["exact"].sensitivity_peak_db)
     assert any("different units" in text for text in found.warnings)
-    with pytest.raises(WrongUseError, match=r"not defined where outputs have different units.*modulus_margin"):
-        check_several([mixed], BOTH, several=SeveralRequirements(sensitivity_peak_db=6.0))
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"not defined where outputs have different units.*modulus_margin"
+    ):
+        check_several([mixed], BOTH, several=ls.SeveralRequirements(sensitivity_peak_db=6.0))
 
 
 def test_a_plant_that_is_not_square():
-    with pytest.raises(WrongUseError, match="a square plant, and a controller and a name for each"):
+    with pytest.raises(ls.errors.WrongUseError, match="a square plant, and a controller and a name for each"):
         LoopMatrix(frf(), (gain("a"),), ("a",))
 
 
@@ -78,8 +78,8 @@ def test_a_plant_that_is_not_square():
     ],
 )
 def test_values_that_make_no_sense(fields, words):
-    with pytest.raises(WrongUseError, match=words):
-        SeveralRequirements(**fields)
+    with pytest.raises(ls.errors.WrongUseError, match=words):
+        ls.SeveralRequirements(**fields)
 
 
 @pytest.mark.parametrize(
@@ -95,12 +95,12 @@ def test_values_that_make_no_sense(fields, words):
 def test_a_bad_table(tmp_path, line, words):
     path = tmp_path / "r.toml"
     path.write_text(f'format = "loopshape-requirements/1"\n[[loop]]\nname = "a"\n[several]\n{line}\n')
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         read_required(path)
 
 
 def test_a_line_above_half_the_rate():
-    slow = [Controller(name, (Block("gain", {"gain": 1.0}),), 150.0) for name in "ab"]
+    slow = [ls.Controller(name, (Block("gain", {"gain": 1.0}),), 150.0) for name in "ab"]
     other = type(frf())(F, G, frf().covariance, frf().trusted, frf().inputs, frf().outputs, "m", "exact", "a+b", 150.0)
-    with pytest.raises(WrongUseError, match="has no response at or above 75 Hz"):
+    with pytest.raises(ls.errors.WrongUseError, match="has no response at or above 75 Hz"):
         check_several([other], slow)

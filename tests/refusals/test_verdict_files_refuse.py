@@ -3,11 +3,10 @@
 import json
 
 import pytest
+from run_files import read_json, read_verdicts, write_verdicts
 from verdict_cases import checked, line, margins
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.io.files import read_json
-from loopshape.io.write.verdicts import read_verdicts, write_verdicts
+import loopshape as ls
 
 
 @pytest.fixture
@@ -17,8 +16,8 @@ def kept(tmp_path):
     return path
 
 
-def refused(path, *words, error=UnreadableInputError):
-    with pytest.raises(LoopshapeError) as caught:
+def refused(path, *words, error=ls.errors.UnreadableInputError):
+    with pytest.raises(ls.LoopshapeError) as caught:
         read_verdicts(path)
     assert type(caught.value) is error
     for word in words:
@@ -115,11 +114,11 @@ def test_an_outcome_that_is_not_that_of_its_lines(kept):
 
 def test_two_verdicts_of_one_loop(kept):
     refused(changed(kept, lambda data, loop: data["loops"].append(loop)), "two verdicts have one name")
-    with pytest.raises(WrongUseError, match="two verdicts have one name"):
+    with pytest.raises(ls.errors.WrongUseError, match="two verdicts have one name"):
         write_verdicts(kept, [checked({"r1": margins()}), checked({"r1": margins()})])
 
 
 def test_no_verdict_to_write(tmp_path):
-    with pytest.raises(WrongUseError, match="holds at least one"):
+    with pytest.raises(ls.errors.WrongUseError, match="holds at least one"):
         write_verdicts(tmp_path / "v.json", [])
     assert not (tmp_path / "v.json").exists()

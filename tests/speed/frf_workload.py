@@ -8,7 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.signal import csd
 
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
+from loopshape.data.signal.recording import RecordingInfo
 from loopshape.identify.local.local import by_local_fits
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.welch import by_welch
@@ -24,7 +25,7 @@ def signals(minutes: int = MINUTES) -> list[np.ndarray]:
 
 def ours(six: list[np.ndarray]) -> Callable[[], object]:
     """The whole estimate: responses to both instruments with the covariance of all elements."""
-    recording = Recording(RecordingInfo("w.parquet", "noise", "plant_input", excites="a"), RATE, {})
+    recording = ls.Recording(RecordingInfo("w.parquet", "noise", "plant_input", excites="a"), RATE, {})
     settings = Settings(method="welch", resolution_hz=RATE / LENGTH)
     return lambda: by_welch(recording, six[:4], six[4:], settings)
 
@@ -71,7 +72,7 @@ def local(seconds: float = 60.0) -> tuple[Callable[[], object], Callable[[], obj
     rng = np.random.default_rng(0)
     n, v = (rng.standard_normal(round(seconds * RATE)) for _ in range(2))
     y = np.convolve(n, 0.9 ** np.arange(60))[: n.size] + 0.01 * v
-    recording = Recording(RecordingInfo("w.parquet", "noise", "plant_input", excites="a"), RATE, {})
+    recording = ls.Recording(RecordingInfo("w.parquet", "noise", "plant_input", excites="a"), RATE, {})
     signals, settings = [y, n - 0.1 * y], Settings(method="local")
 
     def bare() -> None:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+import loopshape as ls
 from loopshape.core import stretches
 from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+from loopshape.data.signal.recording import RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.run.run_folder import check_recordings, read_run, write_run
+from loopshape.io.run.run_folder import check_recordings
 
 RATE_HZ, ROWS, LENGTH, STEP = 10_000.0, 9_000_000, 200_000, 50_000
 COLUMNS = ("n_v", "z_v", "y_m")
@@ -26,7 +26,7 @@ def written(folder: Path) -> Path:
     loop = LoopSetup("axis", None, "n_v", "z_v", "y_m", None)
     info = RecordingInfo("r.parquet", "noise", "controller_input", excites="axis")
     columns = dict(zip(COLUMNS, (n, n - 0.1 * y, y), strict=True))
-    write_run(folder, Run(RATE_HZ, (loop,), (Recording(info, RATE_HZ, columns),)))
+    ls.write(ls.Run(RATE_HZ, (loop,), (ls.Recording(info, RATE_HZ, columns),)), folder)
     return folder
 
 
@@ -35,7 +35,7 @@ def ours(folder: Path) -> Callable[[], object]:
     assert ROWS >= stretches.LONG
 
     def go() -> None:
-        run = read_run(folder)
+        run = ls.read(folder)
         check_recordings(run)
         estimate_frf(run.recordings[0], run.loop("axis"))
 
@@ -48,7 +48,7 @@ def reading_and_transforms(folder: Path) -> Callable[[], object]:
     out = np.empty((1, LENGTH // 2 + 1), dtype=complex)
 
     def go() -> None:
-        columns = read_run(folder).recordings[0]
+        columns = ls.read(folder).recordings[0]
         for name in COLUMNS:
             for _ in stretches.stretches(columns.signal(name)):
                 pass

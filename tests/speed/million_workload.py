@@ -11,8 +11,6 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.data.control.block import Block
-from loopshape.data.control.controller import Controller
-from loopshape.io.write.controllers import write_controllers
 from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
 
 FREQUENCIES = 1_000_000
@@ -33,7 +31,7 @@ def written(folder: Path) -> list[str]:
     names = {"loop": "axis", "recording": "r", "inputs": ("u_v",), "outputs": ("y_m",)}
     add_frfs(folder / "run", [ls.FRF.from_arrays(f, P, relative_std=0.0142, rate_hz=10_000.0, **names)])
     blocks = (Block("gain", {"gain": 5.0}), Block("lead_lag", {"f1_hz": 30.0, "f2_hz": 300.0}))
-    write_controllers(folder / "c.toml", [Controller(loop="axis", rate_hz=10_000.0, blocks=blocks)])
+    ls.write(ls.Controller(loop="axis", rate_hz=10_000.0, blocks=blocks), folder / "c.toml")
     (folder / "r.toml").write_text(REQUIREMENTS)
     return [str(folder / "run"), str(folder / "c.toml"), str(folder / "r.toml")]
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from million_workload import spent
 
+import loopshape as ls
 from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.run.run_folder import write_run
+from loopshape.data.signal.recording import RecordingInfo
 
 ROWS = 3_000_000
 MAP = """
@@ -56,14 +55,14 @@ def written(folder: Path, recordings: int, rows: int) -> Path:
     y = 0.5 * np.convolve(u, 0.9 ** np.arange(50))[: u.size]
     loop = LoopSetup("a", reference="r_m", injected=None, control="z_v", output="y_m", controller=None)
     every = tuple(
-        Recording(
+        ls.Recording(
             RecordingInfo(f"r{k:03d}.parquet", "noise", "reference", excites="a"),
             1000.0,
             {"r_m": u, "z_v": u - y, "y_m": np.round(y + 0.01 * k, 3)},
         )
         for k in range(recordings)
     )
-    write_run(folder, Run(rate_hz=1000.0, loops=(loop,), recordings=every))
+    ls.write(ls.Run(rate_hz=1000.0, loops=(loop,), recordings=every), folder)
     return folder
 
 

@@ -11,17 +11,17 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers" / "loops"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers" / "nouns"))
 import page_in_browser
 import shaped_cases
 from firefox import firefox
 
 import loopshape as ls
-from loopshape.data.requirement.requirements import Requirements
 from loopshape.verbs.shaping import page_of, shaped
 
 POINTS, LINES, MOVES, FRAME_MS = 24, 500, 150, 16
 EMPTY = "Object.values(loopshape.timings).forEach(x => x.length = 0)"
-WANTED = Requirements(
+WANTED = ls.Requirements(
     "x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, gain_margin_db=5.0, complementary_peak_db=6.0,
     bandwidth_hz=5.0, integrators=1, unstable_poles=0,
 )  # fmt: skip

@@ -15,10 +15,9 @@ import numpy as np
 from scipy.optimize import differential_evolution, dual_annealing
 from tune_workload import frfs, requirements
 
+import loopshape as ls
 from loopshape.core.units import angular, db, deg
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
+from loopshape.data.control.controller import Block
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import Problem, problem
 from loopshape.loop.margin.reading import Reader
@@ -37,7 +36,7 @@ class LateError(Exception):
 def workload_problem(lines: int = 500) -> Problem:
     """The tuner's own problem of the workload."""
     plants, wished = frfs(lines), requirements()
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     return problem(loops_of(plants, unit, wished)[0], wished, 1000.0)
 
 
@@ -45,7 +44,7 @@ def workload_problem(lines: int = 500) -> Problem:
 EVALUATIONS = 200
 
 
-def bare(controller: Controller, plants: Sequence[FRF], wished: Requirements) -> float:
+def bare(controller: ls.Controller, plants: Sequence[ls.FRF], wished: ls.Requirements) -> float:
     """Seconds for so many times L = C P and its margins on every line of every plant, with nothing about it.
 
     The least that any search on all lines can take; it has no starts, no slopes, no count and no intervals.
@@ -137,7 +136,7 @@ def rule_of_thumb() -> float:
     def shaped(crossover_hz: float) -> np.ndarray:
         lead = Block("lead_lag", {"f1_hz": crossover_hz / 3.0, "f2_hz": 3.0 * crossover_hz})
         low_pass = Block("low_pass_2", {"f_hz": 10.0 * crossover_hz, "damping": 0.7})
-        return Controller("theta2", (lead, notch, low_pass), 1000.0).response(f)
+        return ls.Controller("theta2", (lead, notch, low_pass), 1000.0).response(f)
 
     return max(_best_gain(shaped(c), f, P) for c in np.geomspace(0.2, 10.0, 20))
 

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
+import loopshape as ls
 from loopshape.core.units import angular
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.toolbox.arm.source import EQUILIBRIA
 
 
-def frfs(lines: int) -> list[FRF]:
+def frfs(lines: int) -> list[ls.FRF]:
     """24 FRFs from z_theta2 to theta2, 0.1-30 Hz."""
     c = constants(ARM1_PARAMETERS.vector())
     f = np.geomspace(0.1, 30.0, lines)
     delay = np.exp(-2e-3j * angular(f))
     return [
-        FRF(
+        ls.FRF(
             frequency_hz=f,
             response=(linearise(c, theta, p).response(f)[:, 0, 0] * delay)[:, None, None],
             covariance=np.full((lines, 1, 1), 1e-16 + 0j),
@@ -35,9 +34,9 @@ def frfs(lines: int) -> list[FRF]:
     ]
 
 
-def requirements(control_peak_db: float = 26.0) -> Requirements:
+def requirements(control_peak_db: float = 26.0) -> ls.Requirements:
     """The source's limits and structure."""
-    return Requirements.from_table(
+    return ls.Requirements.from_table(
         {
             "name": "theta2",
             "sensitivity_peak_db": 6.0,

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-
-from loopshape.data.signal.experiment import Experiment
+from bench_nouns import Experiment
 
 
 @pytest.fixture(scope="session")
 def arm():
-    from loopshape.toolbox.arm.arm1 import Arm1
+    from simulated_machines import Arm1
 
     return Arm1()
 
@@ -22,7 +21,7 @@ def quiet():
 @pytest.fixture(scope="session")
 def arm_constants():
     """The kernel's constants for named parameter changes."""
-    from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
+    from simulated_machines import ARM1_PARAMETERS, constants
 
     return lambda **changes: constants(ARM1_PARAMETERS.vector(changes))
 
@@ -60,8 +59,9 @@ def arm_open_loop():
 
     `m` is the memory to start with, left as the run leaves it; without one that of an arm that has long rested.
     """
+    from simulated_machines import Sensors
+
     from loopshape.toolbox.arm.dynamics import closed_loop, memory
-    from loopshape.toolbox.arm.parameters import Sensors
 
     sensors = Sensors(0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9)  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])

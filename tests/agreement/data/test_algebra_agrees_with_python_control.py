@@ -4,9 +4,9 @@ import control
 import numpy as np
 import pytest
 
+import loopshape as ls
 from loopshape.data.algebra import feedback, held, inverse, lower_closure, product, subtract, upper_closure
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
+from loopshape.data.control.controller import Block
 
 F = np.geomspace(0.01, 20.0, 40)
 
@@ -23,7 +23,7 @@ def frf(sys_, inputs, outputs):
     G = np.moveaxis(sys_(2j * np.pi * F, squeeze=False), -1, 0)
     ny, nu = G.shape[1:]
     C = np.zeros((F.size, ny * nu, ny * nu), dtype=complex)
-    return FRF(F, G, C, np.ones(F.size, dtype=bool), tuple(inputs), tuple(outputs), "python-control")
+    return ls.FRF(F, G, C, np.ones(F.size, dtype=bool), tuple(inputs), tuple(outputs), "python-control")
 
 
 def same(ours, theirs):
@@ -68,7 +68,7 @@ def test_a_held_plant_is_the_sampled_one_up_to_what_folds_down():
     sampled, f = control.c2d(P, 1.0 / rate, "zoh"), np.geomspace(0.1, 60.0, 50)
     continuous = P(2j * np.pi * f)
     C = np.full((f.size, 1, 1), 1e-6 + 0j)
-    one = FRF(f, continuous[:, None, None], C, np.ones(f.size, dtype=bool), ("u_v",), ("y_rad",), "analyser")
+    one = ls.FRF(f, continuous[:, None, None], C, np.ones(f.size, dtype=bool), ("u_v",), ("y_rad",), "analyser")
     ours = held(one, rate)
     theirs = sampled(np.exp(2j * np.pi * f / rate))
     alias = np.abs(P(2j * np.pi * (rate - f)) / continuous) * f / (rate - f)
@@ -87,11 +87,11 @@ def test_discrete_controllers_on_a_held_plant_are_the_discrete_loop():
     rng = np.random.default_rng(2)
     # rolled off by two orders: what folds down from 480 Hz is small
     P = system(rng, 2, 2) * control.tf([1.0], [1.0 / 60.0, 1.0]) * control.tf([1.0], [1.0 / 60.0, 1.0])
-    one = Controller("a", (Block("gain", {"gain": 2.0}), Block("low_pass_1", {"f_hz": 30.0})), rate)
-    two = Controller("b", (Block("pi", {"f_hz": 0.3}),), rate)
+    one = ls.Controller("a", (Block("gain", {"gain": 2.0}), Block("low_pass_1", {"f_hz": 30.0})), rate)
+    two = ls.Controller("b", (Block("pi", {"f_hz": 0.3}),), rate)
     G = np.moveaxis(P(2j * np.pi * f, squeeze=False), -1, 0)
     C = np.zeros((f.size, 4, 4), dtype=complex)
-    p = held(FRF(f, G, C, np.ones(f.size, dtype=bool), ("a_v", "b_v"), ("a_m", "b_m"), "analyser"), rate)
+    p = held(ls.FRF(f, G, C, np.ones(f.size, dtype=bool), ("a_v", "b_v"), ("a_m", "b_m"), "analyser"), rate)
     loop = feedback(p, [one, two])
     z = np.exp(2j * np.pi * f / rate)
     sampled = np.moveaxis(control.c2d(control.ss(P), 1.0 / rate, "zoh")(z, squeeze=False), -1, 0)

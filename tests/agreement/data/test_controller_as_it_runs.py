@@ -9,11 +9,11 @@ import pytest
 from exported_controllers import BLOCKS, PRECISIONS, RATE_HZ, cases
 from scipy import signal
 
+import loopshape as ls
 from loopshape.core.kernels import biquads
 from loopshape.data.algebra import held
 from loopshape.data.control.block import series_response
-from loopshape.data.control.controller import Block, Controller, hold_and_delay
-from loopshape.data.response.frf import FRF
+from loopshape.data.control.controller import Block, hold_and_delay
 
 F = np.geomspace(1e-3, 49.9, 200)
 SERIES = tuple(BLOCKS.values())
@@ -23,7 +23,7 @@ ROUNDED = {name: c for name, c in cases().items() if c.precision != "double"}
 @pytest.mark.parametrize("prewarp_hz", [0.1, 5.0, 49.0])
 @pytest.mark.parametrize("block", SERIES, ids=list(BLOCKS))
 def test_prewarped_response_is_exact_where_it_is_asked_to_be(block, prewarp_hz):
-    controller = Controller("one", (block,), RATE_HZ, prewarp_hz=prewarp_hz)
+    controller = ls.Controller("one", (block,), RATE_HZ, prewarp_hz=prewarp_hz)
     continuous = series_response([block], np.array([2j * np.pi * prewarp_hz]))
     np.testing.assert_allclose(controller.response([prewarp_hz]), continuous, rtol=1e-12)
     sos = np.insert(controller.biquads(), 3, 1.0, axis=1)
@@ -33,7 +33,7 @@ def test_prewarped_response_is_exact_where_it_is_asked_to_be(block, prewarp_hz):
 
 @pytest.mark.parametrize("block", SERIES, ids=list(BLOCKS))
 def test_prewarped_response_is_python_control_s(block):
-    ours = Controller("one", (block,), RATE_HZ, prewarp_hz=7.0)
+    ours = ls.Controller("one", (block,), RATE_HZ, prewarp_hz=7.0)
     num, den = (np.trim_zeros(p[::-1], "f") for p in block.section())
     continuous = control.tf(num, den)
     w = 2.0 * np.pi * 7.0
@@ -42,19 +42,19 @@ def test_prewarped_response_is_python_control_s(block):
 
 
 def test_prewarping_far_below_the_rate_is_plain_tustin():
-    plain = Controller("one", SERIES, RATE_HZ)
+    plain = ls.Controller("one", SERIES, RATE_HZ)
     np.testing.assert_allclose(replace(plain, prewarp_hz=1e-4).response(F), plain.response(F), rtol=1e-9)
 
 
 def test_a_delay_of_whole_samples_is_that_power_of_z():
-    plain = Controller("one", SERIES, RATE_HZ)
+    plain = ls.Controller("one", SERIES, RATE_HZ)
     late = replace(plain, computation_delay_s=3.0 / RATE_HZ)
     np.testing.assert_allclose(late.response(F), plain.response(F) * np.exp(-6j * np.pi * F / RATE_HZ), rtol=1e-12)
 
 
 def test_the_hold_is_the_mean_of_a_held_sample():
     # z held over a period T is z's spectrum times the Fourier transform of a box over [0, T], over T
-    plain, period = Controller("one", SERIES, RATE_HZ), 1.0 / RATE_HZ
+    plain, period = ls.Controller("one", SERIES, RATE_HZ), 1.0 / RATE_HZ
     s = 2j * np.pi * F
     np.testing.assert_allclose(
         replace(plain, added_hold=True).response(F), plain.response(F) * (1.0 - np.exp(-s * period)) / (s * period),
@@ -64,9 +64,9 @@ def test_the_hold_is_the_mean_of_a_held_sample():
 
 def test_a_delay_and_a_hold_in_the_controller_are_those_of_a_held_plant():
     one = np.ones((F.size, 1, 1), dtype=complex)
-    plant = FRF(F, one, 0.0 * one, np.ones(F.size, dtype=bool), ("u",), ("y",), "model")
+    plant = ls.FRF(F, one, 0.0 * one, np.ones(F.size, dtype=bool), ("u",), ("y",), "model")
     in_plant = held(plant, RATE_HZ, 0.004).siso
-    plain = Controller("one", SERIES, RATE_HZ)
+    plain = ls.Controller("one", SERIES, RATE_HZ)
     in_controller = replace(plain, computation_delay_s=0.004, added_hold=True)
     np.testing.assert_allclose(in_controller.response(F), plain.response(F) * in_plant, rtol=1e-13)
     np.testing.assert_array_equal(hold_and_delay(F, RATE_HZ, 0.004), in_plant)
@@ -106,7 +106,7 @@ def test_response_is_that_of_the_rounded_sections(name):
 
 @pytest.mark.parametrize("kind", [*BLOCKS, "series"])
 def test_response_of_the_sections_in_double_is_the_exact_one(kind):
-    controller = Controller("one", SERIES if kind == "series" else (BLOCKS[kind],), RATE_HZ)
+    controller = ls.Controller("one", SERIES if kind == "series" else (BLOCKS[kind],), RATE_HZ)
     f = np.geomspace(0.1, 49.9, 200)
     found = biquads.response(controller.biquads(), 2.0 * np.pi * f / RATE_HZ)
     np.testing.assert_allclose(found, controller.response(f), rtol=1e-9)
@@ -114,7 +114,7 @@ def test_response_of_the_sections_in_double_is_the_exact_one(kind):
 
 def test_a_check_sees_what_rounding_moves():
     # two slow poles at 1.9 Hz and 1 kHz: 1 + a1 + a2 is 1.4e-4, of which half a step of 2^-14 is a fifth
-    slow = Controller("one", (Block("low_pass_2", {"f_hz": 1.9, "damping": 0.7}),), 1000.0)
+    slow = ls.Controller("one", (Block("low_pass_2", {"f_hz": 1.9, "damping": 0.7}),), 1000.0)
     rounded = replace(slow, precision="q2.14")
     dc = abs(rounded.response([1e-3])[0])
     b0, b1, b2, a1, a2 = rounded.biquads()[0]
@@ -126,13 +126,13 @@ def test_a_check_sees_what_rounding_moves():
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_pole_of_a_pi_stays_at_one(precision):
-    pi = Controller("one", (BLOCKS["pi"],), RATE_HZ, precision=precision)
+    pi = ls.Controller("one", (BLOCKS["pi"],), RATE_HZ, precision=precision)
     assert pi.biquads()[0, 3:].tolist() == [-1.0, 0.0]
     assert pi.integrators() == 1
 
 
 def test_every_setting_changes_the_digest_and_the_name_does_not():
-    plain = Controller("one", SERIES, RATE_HZ)
+    plain = ls.Controller("one", SERIES, RATE_HZ)
     others = [
         replace(plain, prewarp_hz=5.0), replace(plain, computation_delay_s=0.001), replace(plain, added_hold=True),
         replace(plain, precision="single"), replace(plain, precision="q5.27"), replace(plain, rate_hz=101.0),
@@ -143,7 +143,7 @@ def test_every_setting_changes_the_digest_and_the_name_does_not():
 
 
 def test_the_phase_budget_is_each_section_alone_and_what_follows_them():
-    c = Controller("one", SERIES, RATE_HZ, computation_delay_s=3e-3, added_hold=True)
+    c = ls.Controller("one", SERIES, RATE_HZ, computation_delay_s=3e-3, added_hold=True)
     at_hz = 0.21 * RATE_HZ
     parts = c.phase_budget(at_hz)
     w = [2.0 * np.pi * at_hz / RATE_HZ]

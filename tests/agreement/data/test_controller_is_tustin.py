@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
+import loopshape as ls
 from loopshape.core.kernels import biquads
-from loopshape.data.control.controller import BLOCK_KINDS, Block, Controller, series_response
+from loopshape.data.control.controller import BLOCK_KINDS, Block, series_response
 
 RATE_HZ = 1000.0
 F = np.geomspace(0.01, 499.0, 300)
@@ -66,7 +67,7 @@ def test_continuous_block_is_the_printed_transfer_function(kind):
 
 @pytest.mark.parametrize("kind", BLOCKS)
 def test_discrete_block_is_scipy_s_bilinear(kind):
-    ours = Controller("one", (Block(kind, BLOCKS[kind]),), RATE_HZ)
+    ours = ls.Controller("one", (Block(kind, BLOCKS[kind]),), RATE_HZ)
     num, den = transfer_function(kind, BLOCKS[kind])
     b, a = signal.bilinear(num, den, fs=RATE_HZ)
     expected = signal.freqz(b, a, worN=2.0 * np.pi * F / RATE_HZ)[1]
@@ -80,14 +81,14 @@ def test_discrete_block_is_scipy_s_bilinear(kind):
 
 @pytest.mark.parametrize("kind", BLOCKS)
 def test_discrete_block_is_python_control_s_tustin(kind):
-    ours = Controller("one", (Block(kind, BLOCKS[kind]),), RATE_HZ)
+    ours = ls.Controller("one", (Block(kind, BLOCKS[kind]),), RATE_HZ)
     theirs = control.sample_system(control.tf(*transfer_function(kind, BLOCKS[kind])), 1.0 / RATE_HZ, method="tustin")
     np.testing.assert_allclose(ours.response(F), theirs(np.exp(2j * np.pi * F / RATE_HZ)), rtol=1e-7)
 
 
 @pytest.mark.parametrize("blocks", [(block,) for block in SERIES] + [SERIES])
 def test_response_is_that_of_the_biquads(blocks):
-    ours = Controller("one", blocks, RATE_HZ)
+    ours = ls.Controller("one", blocks, RATE_HZ)
     np.testing.assert_allclose(of_sections(ours.biquads(), F), ours.response(F), rtol=1e-7)
 
 
@@ -101,13 +102,13 @@ def test_response_is_that_of_the_biquads(blocks):
 )
 def test_response_is_that_of_the_biquads_for_any_notch(f1, f2, b1, b2, f):
     block = Block("notch", {"f1_hz": f1, "f2_hz": f2, "damping1": b1, "damping2": b2})
-    ours = Controller("one", (block,), RATE_HZ)
+    ours = ls.Controller("one", (block,), RATE_HZ)
     response = ours.response([f])
     np.testing.assert_allclose(of_sections(ours.biquads(), [f]), response, rtol=1e-5, atol=1e-9)
 
 
 def test_warping_leaves_low_frequencies_and_pushes_the_rest_to_half_the_rate():
-    ours = Controller("one", SERIES, RATE_HZ)
+    ours = ls.Controller("one", SERIES, RATE_HZ)
     s = ours.s_at([1.0, 250.0, 499.999])
     assert s[0].imag == pytest.approx(2.0 * np.pi, rel=1e-5)
     assert s[1].imag == pytest.approx(2.0 * RATE_HZ, rel=1e-12)  # tan(pi/4) = 1
@@ -117,7 +118,7 @@ def test_warping_leaves_low_frequencies_and_pushes_the_rest_to_half_the_rate():
 
 @pytest.mark.parametrize("blocks", [(block,) for block in SERIES] + [SERIES])
 def test_controller_as_it_runs_is_scipy_s_filter(blocks):
-    sections = Controller("one", blocks, RATE_HZ).biquads()
+    sections = ls.Controller("one", blocks, RATE_HZ).biquads()
     x = np.random.default_rng(1).standard_normal(3000)
     sos = np.insert(sections, 3, 1.0, axis=1)
     ours = biquads.run(sections, np.zeros((len(sections), 2)), x)
@@ -125,7 +126,7 @@ def test_controller_as_it_runs_is_scipy_s_filter(blocks):
 
 
 def test_controller_s_state_goes_on_where_it_stopped():
-    sections = Controller("one", SERIES, RATE_HZ).biquads()
+    sections = ls.Controller("one", SERIES, RATE_HZ).biquads()
     x = np.random.default_rng(2).standard_normal(100)
     whole = biquads.run(sections, np.zeros((len(sections), 2)), x)
     state = np.zeros((len(sections), 2))
@@ -151,7 +152,7 @@ def test_log_slopes_are_the_slopes(kind, name):
 
 def test_integrators_are_counted():
     pi = Block("pi", {"f_hz": 1.0})
-    assert [Controller("one", (SERIES[0], *[pi] * n), RATE_HZ).integrators() for n in range(3)] == [0, 1, 2]
+    assert [ls.Controller("one", (SERIES[0], *[pi] * n), RATE_HZ).integrators() for n in range(3)] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("block", SERIES)

@@ -2,15 +2,17 @@
 
 import pytest
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
+from loopshape.data.control.controller import Block
 
 GAIN = Block("gain", {"gain": 1.0})
 
 
 @pytest.mark.parametrize("kind", ["pd", "low_pass", "", "Gain"])
 def test_unknown_kind(kind):
-    with pytest.raises(WrongUseError, match=r"block is not known; received .*use one of gain, lead_lag, notch"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"block is not known; received .*use one of gain, lead_lag, notch"
+    ):
         Block(kind, {"gain": 1.0})
 
 
@@ -25,7 +27,7 @@ def test_unknown_kind(kind):
     ],
 )
 def test_unknown_table(table):
-    with pytest.raises(WrongUseError, match=r"block is not known; received .*low_pass with order 1 or 2"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"block is not known; received .*low_pass with order 1 or 2"):
         Block.from_table(table)
 
 
@@ -40,13 +42,15 @@ def test_unknown_table(table):
     ],
 )
 def test_wrong_names(kind, parameters):
-    with pytest.raises(WrongUseError, match=f"a {kind} block has the parameters .*name each once and no other"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=f"a {kind} block has the parameters .*name each once and no other"
+    ):
         Block(kind, parameters)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), "1", None, True, [1.0]])
 def test_what_is_not_a_finite_number(value):
-    with pytest.raises(WrongUseError, match="gain of a gain block must be a finite number; received"):
+    with pytest.raises(ls.errors.WrongUseError, match="gain of a gain block must be a finite number; received"):
         Block("gain", {"gain": value})
 
 
@@ -63,7 +67,7 @@ def test_what_is_not_a_finite_number(value):
     ],
 )
 def test_what_is_not_positive(kind, parameters, name):
-    with pytest.raises(WrongUseError, match=f"{name} of a {kind} block must be positive; received"):
+    with pytest.raises(ls.errors.WrongUseError, match=f"{name} of a {kind} block must be positive; received"):
         Block(kind, parameters)
 
 
@@ -73,21 +77,25 @@ def test_a_notch_without_numerator_damping_is_allowed():
 
 @pytest.mark.parametrize("f_hz", [500.0, 700.0, [1.0, 500.0]])
 def test_response_at_half_the_rate(f_hz):
-    with pytest.raises(WrongUseError, match=r"no response at or above 500 Hz; received .*ask below half the rate"):
-        Controller("theta2", (GAIN,), 1000.0).response(f_hz)
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"no response at or above 500 Hz; received .*ask below half the rate"
+    ):
+        ls.Controller("theta2", (GAIN,), 1000.0).response(f_hz)
 
 
 @pytest.mark.parametrize("rate_hz", [0.0, -1.0, float("nan"), float("inf")])
 def test_rate(rate_hz):
-    with pytest.raises(WrongUseError, match="rate must be a positive finite number; received"):
-        Controller("theta2", (GAIN,), rate_hz)
+    with pytest.raises(ls.errors.WrongUseError, match="rate must be a positive finite number; received"):
+        ls.Controller("theta2", (GAIN,), rate_hz)
 
 
 def test_discretisation():
-    with pytest.raises(WrongUseError, match="discretisation is not known; received 'zoh'; use tustin"):
-        Controller("theta2", (GAIN,), 1000.0, "zoh")
+    with pytest.raises(ls.errors.WrongUseError, match="discretisation is not known; received 'zoh'; use tustin"):
+        ls.Controller("theta2", (GAIN,), 1000.0, "zoh")
 
 
 def test_no_block():
-    with pytest.raises(WrongUseError, match="loop 'theta2' has no block; received an empty list; give at least a gain"):
-        Controller("theta2", (), 1000.0)
+    with pytest.raises(
+        ls.errors.WrongUseError, match="loop 'theta2' has no block; received an empty list; give at least a gain"
+    ):
+        ls.Controller("theta2", (), 1000.0)

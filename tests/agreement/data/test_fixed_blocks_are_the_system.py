@@ -3,13 +3,11 @@
 import control
 import numpy as np
 import pytest
+from conversions import angular
 from scipy import signal
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import angular
 from loopshape.data.control.controller import Block, step
-from loopshape.io.write.controllers import read_controllers, write_controllers
 
 RATE = 1000.0
 F = np.geomspace(0.1, 480.0, 60)
@@ -81,8 +79,8 @@ def test_integrators_are_counted_and_kept_to_the_last_digit():
 
 def test_blocks_go_to_files_and_come_back(tmp_path):
     made = controller((ls.pid(-2.0, 0.5, 8.0, 200.0), *ls.fixed(SOS, rate_hz=RATE)))
-    write_controllers(tmp_path / "c.toml", [made])
-    (back,) = read_controllers(tmp_path / "c.toml")
+    ls.write(made, tmp_path / "c.toml")
+    (back,) = ls.read_controllers(tmp_path / "c.toml")
     assert back.digest == made.digest
 
 
@@ -101,7 +99,7 @@ def test_blocks_go_to_files_and_come_back(tmp_path):
     ],
 )
 def test_what_cannot_run_is_refused(system, words):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.fixed(system)
 
 
@@ -116,7 +114,7 @@ def test_what_cannot_run_is_refused(system, words):
     ],
 )
 def test_a_section_that_cannot_run_is_refused(numbers, words):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         Block("section", dict(zip(("n0", "n1", "n2", "d0", "d1", "d2"), numbers, strict=True)))
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, problem_of, servos, wished
 
+import loopshape as ls
 from loopshape.core.kernels.loops.glance import glance
-from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear
@@ -58,7 +58,7 @@ def test_draws_between_lines_go_straight_and_know_what_the_spline_adds() -> None
 def test_margins_of_draws_are_those_of_each_loop(bounded: bool) -> None:
     C = 2.0 * (1.0 + 0.2j * F) / (1.0 + 0.01j * F)
     draws, above = 0.05 * np.abs(P) * drawn(np.random.default_rng(3), 40, F.size), np.geomspace(100.0, 400.0, 9)[1:]
-    reader = Reader(20.0, (Mask("S", ((1.0, -10.0), (3.0, 3.0))),))
+    reader = Reader(20.0, (ls.Mask("S", ((1.0, -10.0), (3.0, 3.0))),))
     one_by_one, _ = reader.read(F, C * P + C * draws, C, above, C[-8:], bounded=bounded)
     at_once = reader.read_drawn(F, C * P, C, by_draw(draws), C, above, C[-8:], bounded=bounded)
     np.testing.assert_allclose(at_once, one_by_one, rtol=1e-9)

@@ -2,14 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopSetup, Multisine, RecordingInfo
 from scipy.signal import csd, freqz, lfilter
 
 import loopshape as ls
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
@@ -22,7 +18,7 @@ LOW_PASS = (*GAIN, Block("low_pass_1", {"f_hz": 20.0}))
 
 def recorded(blocks, n, place="controller_input", noise=0.05, **period):
     """A noisy loop around a known plant, n at the controller's input or the plant's, setpoint not zero."""
-    controller = Controller("axis", blocks, RATE)
+    controller = ls.Controller("axis", blocks, RATE)
     D = F = np.ones(1)
     for b0, b1, b2, a1, a2 in controller.biquads():
         D, F = np.convolve(D, [b0, b1, b2]), np.convolve(F, [1.0, a1, a2])
@@ -36,7 +32,7 @@ def recorded(blocks, n, place="controller_input", noise=0.05, **period):
     info = RecordingInfo("r1.parquet", "noise", place, excites="axis", **period)
     columns = {"r_rad": np.full(n.size, SETPOINT), "n_rad" if at_controller else "n_v": n, "z_v": z, "y_rad": y}
     setup = LoopSetup("axis", "r_rad", "n_rad" if at_controller else "n_v", "z_v", "y_rad", controller)
-    return Recording(info, RATE, columns), setup
+    return ls.Recording(info, RATE, columns), setup
 
 
 def source_formula(recording, controller):
@@ -92,7 +88,7 @@ CASES = {
 def test_one_loop_is_a_matrix_of_one(case, place):
     n, period = CASES[case]
     recording, loop = recorded(LOW_PASS, n, place, **period)
-    run = Run(RATE, (loop,), (recording,))
+    run = ls.Run(RATE, (loop,), (recording,))
     (single,), matrix = ls.frfs(run), estimate_matrix(run, [recording])
     shared = np.isin(single.frequency_hz, matrix.frequency_hz)
     np.testing.assert_array_equal(matrix.frequency_hz, single.frequency_hz[shared])

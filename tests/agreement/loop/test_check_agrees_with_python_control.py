@@ -3,16 +3,14 @@
 import control
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI, db, hz
 
-from loopshape.core.units import TWO_PI, db, hz
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.loop.margin.margins import margins
 
 F = np.geomspace(0.005, 2000.0, 12000)
-UNITY = Controller("axis", (Block("gain", {"gain": 1.0}),), 1e5)
+UNITY = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), 1e5)
 
 
 def products(*polynomials):
@@ -52,7 +50,7 @@ def ours(name):
     num, den, integrators, unstable = LOOPS[name]
     P = TransferFunction(num, den).response(F)[:, None, None]
     known = np.ones(F.size, dtype=bool)
-    frf = FRF(F, P, 1e-20 * np.abs(P) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=1e5)
+    frf = ls.FRF(F, P, 1e-20 * np.abs(P) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=1e5)
     return margins(Loop(frf, UNITY, integrators, unstable))
 
 

@@ -4,58 +4,54 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LIMIT_OF, LIMITS, Block, Line, Loop
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Margins, Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.result.verdict import Line, Verdict
+import loopshape as ls
 from loopshape.loop.points import margins_of, point_outcome, worst_of
-from loopshape.loop.verdict import check
 
 RATE = 1000.0
 F = np.geomspace(0.1, 60.0, 200)
 
 
-def frf(gain: float, recording: str, noise: float = 0.1, seed: int = 0) -> FRF:
+def frf(gain: float, recording: str, noise: float = 0.1, seed: int = 0) -> ls.FRF:
     s = 1j * TWO_PI * F
     response = gain * np.exp(-0.0027 * s) / (s * (s / (TWO_PI * 8.0) + 1.0))
     rng = np.random.default_rng(seed)
     error = np.sqrt(0.5) * (rng.standard_normal(F.size) + 1j * rng.standard_normal(F.size))
     variance = (noise * np.abs(response)) ** 2
-    return FRF(
+    return ls.FRF(
         F, (response * (1.0 + noise * error))[:, None, None], variance[:, None, None] + 0j, np.ones(F.size, dtype=bool),
         ("z_v",), ("y_rad",), "made up", recording=recording, loop="axis", rate_hz=RATE,
     )  # fmt: skip
 
 
 def loops(*gains: float) -> list[Loop]:
-    one = Controller("axis", (Block("gain", {"gain": 1.0}),), RATE)
+    one = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), RATE)
     return [Loop(frf(gain, f"r{k + 1}"), one, 1, unstable_poles=0) for k, gain in enumerate(gains)]
 
 
-def margins(modulus: float, low: float | None = None, stable: str = "stable", at_hz: float = 5.0) -> Margins:
+def margins(modulus: float, low: float | None = None, stable: str = "stable", at_hz: float = 5.0) -> ls.Margins:
     numbers = {limit.name: 1.0 for limit in LIMITS} | {"modulus_margin": modulus}
-    return Margins(
+    return ls.Margins(
         **numbers, crossings_hz=(), phase_crossings_hz=(), at_hz={"modulus_margin": at_hz}, stable=stable,
         stability_reason="", intervals={} if low is None else {"modulus_margin": (low, 2.0 * modulus - low)},
     )  # fmt: skip
 
 
-def verdict(*found: Margins, lines: tuple[Line, ...] = ()) -> Verdict:
-    return Verdict("axis", lines, {f"r{k + 1}": m for k, m in enumerate(found)})
+def verdict(*found: ls.Margins, lines: tuple[Line, ...] = ()) -> ls.Verdict:
+    return ls.Verdict("axis", lines, {f"r{k + 1}": m for k, m in enumerate(found)})
 
 
 def test_the_outcome_of_the_verdicts_point_is_the_lines_outcome() -> None:
-    controller = Controller("axis", (Block("gain", {"gain": 1.0}),), RATE)
-    requirements = Requirements(
+    controller = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), RATE)
+    requirements = ls.Requirements(
         "axis", integrators=1, gain_margin_db=8.0, phase_margin_deg=33.0, modulus_margin=0.5, sensitivity_peak_db=6.3,
         complementary_peak_db=3.0, control_peak_db=2.0,
     )  # fmt: skip
     frfs = [frf(gain, f"r{k}", seed=k) for k, gain in enumerate((30.0, 36.0, 45.0))]
-    on_the_limit = check(frfs, controller, requirements).margins["r1"].bandwidth_hz
-    found = check(frfs, controller, replace(requirements, bandwidth_hz=on_the_limit))
+    on_the_limit = ls.check(frfs, controller, requirements).margins["r1"].bandwidth_hz
+    found = ls.check(frfs, controller, replace(requirements, bandwidth_hz=on_the_limit))
     outcomes = set()
     for line in found.lines:
         assert point_outcome(found.margins[line.recording], line.quantity, line.wished) == line.outcome

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Loop
+from conversions import TWO_PI
 from several_cases import (
     crossing_somewhere,
     frf_of,
@@ -13,16 +15,12 @@ from several_cases import (
     response_of,
 )
 
-from loopshape.core.units import TWO_PI
+import loopshape as ls
 from loopshape.data.algebra.propagation import pick
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.determinant import closed_loops_stability
-from loopshape.loop.matrix.several import check_several
 from loopshape.loop.matrix.several_margins import several_margins
 from loopshape.loop.stability.stability import closed_loop_stability
-from loopshape.loop.verdict import check
 
 F = np.geomspace(0.01, 300.0, 900)
 S = 1j * TWO_PI * F
@@ -81,10 +79,10 @@ def test_uncoupled_loops_are_as_bad_as_the_worst_of_them():
 
 def test_a_check_of_uncoupled_loops_is_a_check_of_each():
     frf = frf_of(F, diagonal(servo(30.0, 0.02), servo(8.0, 0.05)), 0.02, loop="a+b")
-    wished = [Requirements(name, modulus_margin=0.5, integrators=1, unstable_poles=0) for name in "ab"]
+    wished = [ls.Requirements(name, modulus_margin=0.5, integrators=1, unstable_poles=0) for name in "ab"]
     controllers = [gain("a"), gain("b")]
-    found = check_several([frf], controllers, wished, SeveralRequirements(integrators=2, unstable_poles=0))
+    found = ls.check([frf], controllers, wished, together=ls.SeveralRequirements(integrators=2, unstable_poles=0))
     for k, verdict in enumerate(found.each):
-        alone = check([pick(frf, [k], [k])], controllers[k], wished[k])
+        alone = ls.check([pick(frf, [k], [k])], controllers[k], wished[k])
         assert verdict.lines == alone.lines
         assert verdict.outcome == alone.outcome

@@ -5,9 +5,9 @@ from itertools import product
 import control
 import numpy as np
 import pytest
+from conversions import TWO_PI
 from several_cases import gain, loops, poles, random_plant, response_of
 
-from loopshape.core.units import TWO_PI
 from loopshape.loop.matrix.several_margins import broken_twice, gauge_matrix, several_margins
 from loopshape.loop.matrix.structured import mu_bounds, refined, scaled, two_loops, upper_at
 

@@ -6,12 +6,12 @@ from base64 import b64decode
 import numpy as np
 import pytest
 import report_run
+from conversions import db
 from page_in_browser import browser
+from run_files import gather
 
-from loopshape.core.units import db
+import loopshape as ls
 from loopshape.data.algebra import feedback
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.io.run.gathered import gather
 from loopshape.loop.verdict import loops_of
 from loopshape.view.html.page import page
 from loopshape.view.html.traces import embedded, loop_traces, plant_traces
@@ -21,7 +21,7 @@ from loopshape.view.plots.curves import magnitude_band_db, thinned
 @pytest.fixture(scope="module")
 def loop_and_trace():
     frf = report_run.frf("near", 40.0, 0.1)
-    loops, _ = loops_of([frf], report_run.controller(), Requirements("axis", integrators=1))
+    loops, _ = loops_of([frf], report_run.controller(), ls.Requirements("axis", integrators=1))
     return loops[0], loop_traces(loops, [frf])[0]
 
 

@@ -13,8 +13,6 @@ from firefox import Firefox, Page, firefox
 from test_shape_page_is_check import LAGS, MASKS, WANTED, differences
 
 import loopshape as ls
-from loopshape.data.control.controller import Controller
-from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped
 from loopshape.view.page.payload import controller_words
 
@@ -40,7 +38,7 @@ def state(page: Page) -> dict[str, Any]:
     return dict(page.evaluate("loopshape.state"))
 
 
-def asked(page: Page, C: Controller) -> dict[str, Any]:
+def asked(page: Page, C: ls.Controller) -> dict[str, Any]:
     words = json.dumps(controller_words(C))
     return dict(json.loads(page.evaluate(f"loopshape.ask({words}).then(found => JSON.stringify(found, {PLAIN}))")))
 
@@ -52,7 +50,7 @@ def test_verdicts_are_those_of_check(kind: str, browser: Firefox, tmp_path: Path
     (tmp_path / "page.html").write_bytes(page_of([shaped(frfs, LAGS, R, ())], "test"))
     page = browser.opened(tmp_path / "page.html")
     controllers = [LAGS, shaped_cases.moved(LAGS, rng)]
-    assert [differences(check(frfs, C, R), asked(page, C)) for C in controllers] == [[], []]
+    assert [differences(ls.check(frfs, C, R), asked(page, C)) for C in controllers] == [[], []]
     page.close()
 
 

@@ -11,20 +11,16 @@ import page_in_browser
 import pytest
 import several_cases
 import shaped_cases
+from bench_nouns import LIMITS, Block
 
 import loopshape as ls
-from loopshape.data.control.block import Block
-from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.requirements import LIMITS, Margins, Requirements, SeveralRequirements
-from loopshape.data.result.verdict import Verdict
 from loopshape.loop.predict.step_response import predict_step
-from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import page_of, shaped
 from loopshape.view.page.payload import controller_words
 
 AGREES = 1e-6
 LAGS = ls.controller(ls.gain(3.0), ls.lead_lag(5.0, 60.0), rate_hz=shaped_cases.RATE_HZ, loop="x")
-WANTED = Requirements(
+WANTED = ls.Requirements(
     "x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, gain_margin_db=5.0, disk_margin=0.5, delay_margin_s=1e-3,
     bandwidth_hz=5.0, integrators=0, unstable_poles=0, control_high_frequency_db=30.0,
     control_high_frequency_from_hz=200.0, controller_bandwidth_hz=400.0, detuning_percent=1.0,
@@ -37,7 +33,7 @@ def context() -> Iterator[Any]:
         yield browser.new_context()
 
 
-def asked(page: Any, controller: Controller) -> dict[str, Any]:
+def asked(page: Any, controller: ls.Controller) -> dict[str, Any]:
     words = "c => loopshape.ask(c).then(v => JSON.stringify(v, (k, x) => Number.isFinite(x) || typeof x !== 'number'"
     text = page.evaluate(f"{words} ? x : String(x)))", controller_words(controller))
     return dict(json.loads(text))
@@ -50,7 +46,7 @@ def far(one: float, other: Any) -> float:
     return float(abs(one - other) / max(abs(one), 1.0))
 
 
-def differences(verdict: Verdict, found: dict[str, Any], without: tuple[str, ...] = ()) -> list[str]:
+def differences(verdict: ls.Verdict, found: dict[str, Any], without: tuple[str, ...] = ()) -> list[str]:
     out = []
     for (name, m), other in zip(verdict.margins.items(), found["margins"], strict=True):
         if m.stable != other["stability"]["outcome"]:
@@ -74,7 +70,7 @@ def differences(verdict: Verdict, found: dict[str, Any], without: tuple[str, ...
     return out + ([] if verdict.outcome == found["outcome"] else [f"{verdict.outcome} and {found['outcome']}"])
 
 
-def detuning_differences(m: Margins, found: dict[str, Any] | None) -> list[str]:
+def detuning_differences(m: ls.Margins, found: dict[str, Any] | None) -> list[str]:
     """Where up and down of the whole plant, or of single resonances, differ."""
     if m.detuning is None or found is None:
         return [] if m.detuning is None and found is None else [f"detuning {m.detuning} and {found}"]
@@ -91,17 +87,19 @@ def detuning_differences(m: Margins, found: dict[str, Any] | None) -> list[str]:
     return out
 
 
-def page_on(context: Any, folder: Path, frfs: list[ls.FRF], C: Controller, R: Requirements) -> Any:
+def page_on(context: Any, folder: Path, frfs: list[ls.FRF], C: ls.Controller, R: ls.Requirements) -> Any:
     file = folder / "shape.html"
     file.write_bytes(page_of([shaped(frfs, C, R, ())], "test"))
     return page_in_browser.opened(context, file)
 
 
-def compared(context: Any, folder: Path, frfs: list[ls.FRF], C: Controller, R: Requirements, count: int) -> list[str]:
+def compared(
+    context: Any, folder: Path, frfs: list[ls.FRF], C: ls.Controller, R: ls.Requirements, count: int
+) -> list[str]:
     page, rng = page_on(context, folder, frfs, C, R), np.random.default_rng(3)
     out = list(page.errors)
     for controller in [C, *(shaped_cases.moved(C, rng) for _ in range(count))]:
-        out += differences(check(frfs, controller, R), asked(page, controller))
+        out += differences(ls.check(frfs, controller, R), asked(page, controller))
     page.close()
     return out
 
@@ -120,10 +118,10 @@ def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path)
 @pytest.mark.parametrize("name", shaped_cases.CROWDS)
 def test_resonances_close_together_are_followed_as_check_follows_them(name: str, context: Any, tmp_path: Path) -> None:
     """Gains at which they encircle -1, come near it, and stay clear of it."""
-    P, R = shaped_cases.crowded(name), Requirements("x", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
+    P, R = shaped_cases.crowded(name), ls.Requirements("x", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
     made = [ls.controller(ls.gain(g), rate_hz=shaped_cases.RATE_HZ, loop="x") for g in (1.0, 0.5, 0.1, 0.03)]
     made += [ls.controller(ls.gain(2.0), ls.notch(14.1, 0.05, 0.5), rate_hz=shaped_cases.RATE_HZ, loop="x")]
-    page, verdicts = page_on(context, tmp_path, [P], made[0], R), [check([P], C, R) for C in made]
+    page, verdicts = page_on(context, tmp_path, [P], made[0], R), [ls.check([P], C, R) for C in made]
     assert page.evaluate("loopshape.loop.points[0].crowds.length") == 1
     assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * len(made)
     page.close()
@@ -162,7 +160,7 @@ def test_the_detuning_margin_of_a_mask(context: Any, tmp_path: Path) -> None:
         replace(R, masks=(ls.Mask("S", ((50.0, 3.5), (120.0, 3.5))),), detuning_percent=1.0),
         on_the_bench(10.0, 77.5),
     )
-    page, verdict = page_on(context, tmp_path, [P], C, R), check([P], C, R)
+    page, verdict = page_on(context, tmp_path, [P], C, R), ls.check([P], C, R)
     (m,) = verdict.margins.values()
     assert m.detuning is not None
     assert m.detuning.worst.breaks == "sensitivity_mask_db"
@@ -185,14 +183,14 @@ def test_blocks_of_other_programs_and_pid(precision: str, context: Any, tmp_path
     frfs, rate = shaped_cases.plants("lag"), shaped_cases.RATE_HZ
     blocks = [(Block("pid", PID), Block("notch", {"f1_hz": 50.0, "f2_hz": 50.0, "damping1": 0.02, "damping2": 0.3}))]
     blocks += [(Block("gain", {"gain": 2.0}), Block("section", coefficients)) for coefficients in SECTIONS.values()]
-    controllers = [Controller("x", own, rate, precision=precision) for own in blocks]
+    controllers = [ls.Controller("x", own, rate, precision=precision) for own in blocks]
     page = page_on(context, tmp_path, frfs, controllers[0], WANTED)
-    found = [differences(check(frfs, C, WANTED), asked(page, C)) for C in controllers]
+    found = [differences(ls.check(frfs, C, WANTED), asked(page, C)) for C in controllers]
     page.close()
     assert found == [[]] * 5
 
 
-def on_the_bench(gain: float, notch_hz: float) -> Controller:
+def on_the_bench(gain: float, notch_hz: float) -> ls.Controller:
     parts = ls.gain(gain), ls.lead_lag(1.0, 50.0), ls.notch(notch_hz, 0.1, 0.6), ls.low_pass(400.0, 1.0)
     return ls.controller(*parts, rate_hz=2500.0, loop="motor")
 
@@ -207,7 +205,7 @@ def test_the_detuning_margin_moves_with_the_controller(percent: float | None, co
     file = tmp_path / "shape.html"
     file.write_bytes(page_of([shaped([P], made[0], R, fits)], "test"))
     page = page_in_browser.opened(context, file)
-    verdicts = [check([P], C, R, fits) for C in made]
+    verdicts = [ls.check([P], C, R, fits=fits) for C in made]
     assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * 4
     page.close()
     found = [m.detuning_percent for v in verdicts for m in v.margins.values()]
@@ -220,7 +218,7 @@ def test_each_resonance_moved_alone_leaves_what_check_says(context: Any, tmp_pat
     s, w = 2j * np.pi * f, 2.0 * np.pi * np.array([60.0, 95.0])
     modes = [r * k**2 / (s**2 + 2 * d * k * s + k**2) for r, d, k in zip((8.0, 5.0), (0.02, 0.012), w, strict=True)]
     P = shaped_cases.noisy(f, 30.0 / (s * (1.0 + s / 60.0)) * (0.4 + sum(modes)), 0.005, "two modes", seed=2)
-    R = Requirements("x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, integrators=1, unstable_poles=0)
+    R = ls.Requirements("x", phase_margin_deg=30.0, sensitivity_peak_db=6.0, integrators=1, unstable_poles=0)
     R = replace(R, detuning_percent=1.5)
     fit = ls.fit(P, "rational", numerator=4, denominator=6)
     made = [
@@ -228,7 +226,7 @@ def test_each_resonance_moved_alone_leaves_what_check_says(context: Any, tmp_pat
                       ls.lead_lag(8.0, 60.0), rate_hz=shaped_cases.RATE_HZ, loop="x")
         for g, n in ((0.2, 60.0), (0.2, 59.3), (0.205, 60.4))
     ]  # fmt: skip
-    verdicts = [check([P], C, R, (fit,)) for C in made]
+    verdicts = [ls.check([P], C, R, fits=(fit,)) for C in made]
     file = tmp_path / "shape.html"
     file.write_bytes(page_of([shaped([P], made[0], R, (fit,))], "test"))
     page = page_in_browser.opened(context, file)
@@ -245,8 +243,8 @@ def test_each_loop_of_a_matrix_meets_the_plant_with_the_others_closed(
 ) -> None:
     P = coupled(coupling)
     controllers = [several_cases.gain("a", 6.0), several_cases.gain("b", 4.0, several_cases.lead(3.0, 12.0))]
-    wanted = [Requirements(name, phase_margin_deg=30.0, sensitivity_peak_db=6.0) for name in "ab"]
-    together = SeveralRequirements(integrators=2, unstable_poles=0)
+    wanted = [ls.Requirements(name, phase_margin_deg=30.0, sensitivity_peak_db=6.0) for name in "ab"]
+    together = ls.SeveralRequirements(integrators=2, unstable_poles=0)
     file = ls.shape(P, controllers, wanted, tmp_path / "several.html", together=together)
     page, verdict = page_in_browser.opened(context, file), ls.check(P, controllers, wanted, together=together)
     for k, (one, controller) in enumerate(zip(verdict.each, controllers, strict=True)):

@@ -10,7 +10,6 @@ import pytest
 import shaped_cases
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.verbs.shaping import notebook_widget, shaped
 from loopshape.view.page.payload import controller_from, controller_words, requirement_words, requirements_from
 
@@ -103,7 +102,7 @@ def test_traits_tell_of_changes_and_refuse_another_loop(widget: Any) -> None:
     C = widget.controller
     widget.controller = controller_from(controller_words(C))
     assert [one.digest for one in heard] == [C.digest]
-    with pytest.raises(WrongUseError, match="shapes loop 'motor' at 2500 Hz"):
+    with pytest.raises(ls.errors.WrongUseError, match="shapes loop 'motor' at 2500 Hz"):
         widget.controller = ls.controller(ls.gain(1.0), rate_hz=1000.0, loop="motor")
     assert widget.controller.digest == C.digest
 
@@ -111,5 +110,5 @@ def test_traits_tell_of_changes_and_refuse_another_loop(widget: Any) -> None:
 def test_several_loops_ask_for_a_file() -> None:
     P, R, C = shaped_cases.bench()
     one = shaped([P], C, R, ())
-    with pytest.raises(WrongUseError, match="a widget shapes one loop"):
+    with pytest.raises(ls.errors.WrongUseError, match="a widget shapes one loop"):
         notebook_widget([one, one], "Shape")

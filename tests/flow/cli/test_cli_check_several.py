@@ -7,17 +7,14 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import typer
+from conversions import TWO_PI
+from run_files import read_required, write_controllers, write_frfs, write_matrices
 from several_cases import frf_of, gain, noisy
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.verify.check import check as check_command
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import TWO_PI
-from loopshape.data.requirement.requirements import SeveralRequirements
 from loopshape.io.profiles import OWN
-from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.frfs import write_frfs, write_matrices
-from loopshape.io.write.requirements import read_required, read_requirements
 from loopshape.loop.matrix.several import check_several as check
 
 F = np.arange(0.1, 20.0, 0.1)
@@ -117,13 +114,13 @@ def test_a_run_of_single_loops_is_refused(tmp_path, run):
     write_frfs(folder, [type(one)(F, one.response[:, :1, :1], one.covariance[:, :1, :1], one.trusted, one.inputs[:1],
                                   one.outputs[:1], "m", "exact", "a", one.rate_hz)])  # fmt: skip
     done = CliRunner().invoke(APP, [str(folder), str(run / "c.toml"), "--require", str(run / "r.toml")])
-    assert isinstance(done.exception, WrongUseError)
+    assert isinstance(done.exception, ls.errors.WrongUseError)
     assert "frf RUN --matrix" in str(done.exception)
 
 
 def test_the_worst_operating_point_stands_in_the_line():
     matrices = [matrix(0.1, "one"), matrix(0.6, "two")]
-    found = check(matrices, [gain("a"), gain("b")], [], SeveralRequirements(disk_margin=0.3))
+    found = check(matrices, [gain("a"), gain("b")], [], ls.SeveralRequirements(disk_margin=0.3))
     assert set(found.margins) == {"one", "two"}
     assert found.lines[0].recording == min(found.margins, key=lambda name: found.margins[name].disk_margin)
 
@@ -143,9 +140,9 @@ def test_the_recorded_loops_stand_for_what_is_not_declared():
 
 
 def test_the_table_several_is_read(run):
-    assert read_required(run / "r.toml")[1] == SeveralRequirements(
+    assert read_required(run / "r.toml")[1] == ls.SeveralRequirements(
         disk_margin=0.5, sensitivity_peak_db=8.0, integrators=2, unstable_poles=0
     )
-    assert [one.loop for one in read_requirements(run / "r.toml")] == ["a", "b"]
+    assert [one.loop for one in ls.read_requirements(run / "r.toml")] == ["a", "b"]
     (run / "r.toml").write_text('format = "loopshape-requirements/1"\n[[loop]]\nname = "a"\n')
     assert read_required(run / "r.toml")[1] is None

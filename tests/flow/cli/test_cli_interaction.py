@@ -4,23 +4,21 @@ import json
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from commands import invoked
 from interaction_nouns import F, coupled_by, matrix_frf
-from typer.testing import CliRunner
+from run_files import write_controllers, write_frfs, write_matrices
 
-from loopshape.cli.main import app
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.frfs import write_frfs, write_matrices
+import loopshape as ls
 
 K_DB = np.where((F > 2.95) & (F < 3.25), -8.0, -40.0)
 
 
 def loopshape(*words, code=0):
     """Run a command; a refusal must be a sentence of the project's own."""
-    done = CliRunner().invoke(app, ["interaction", *map(str, words)])
+    done = invoked(["interaction", *map(str, words)])
     if code == 2:
-        assert isinstance(done.exception, LoopshapeError)
+        assert isinstance(done.exception, ls.LoopshapeError)
         return str(done.exception)
     assert done.exit_code == code, done.output + repr(done.exception)
     return done.stdout
@@ -46,7 +44,7 @@ def test_a_table_a_band_and_sentences(run):
 
 def test_json_bands_limits_and_controllers(run, tmp_path):
     blocks = (Block("gain", {"gain": 2.0}),)
-    write_controllers(tmp_path / "c.toml", [Controller(name, blocks, 1000.0) for name in ("theta1", "theta2")])
+    write_controllers(tmp_path / "c.toml", [ls.Controller(name, blocks, 1000.0) for name in ("theta1", "theta2")])
     words = ("--bands", "0.5-2,2-4", "--limit-db", "-30", "--controller", tmp_path / "c.toml", "--no-figures")
     said = json.loads(loopshape(run, "--json", *words))
     assert not said["decoupled"]

@@ -4,16 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
+from commands import invoked
+from run_files import write_frfs, write_matrices
 from two_axes import matrix
-from typer.testing import CliRunner
 
-from loopshape.cli.main import app
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.io.write.controllers import read_controllers, write_controllers
-from loopshape.io.write.frfs import write_frfs, write_matrices
+import loopshape as ls
 
 RATE = 500.0
 REQUIRE = """
@@ -35,9 +31,9 @@ BLOCKS = (Block("gain", {"gain": 0.004}), Block("lead_lag", {"f1_hz": 2.0, "f2_h
 
 def loopshape(*words, code=0):
     """Run a command; a refusal must be a sentence of the project's own."""
-    done = CliRunner().invoke(app, [str(word) for word in words])
+    done = invoked(words)
     if code == 2:
-        assert isinstance(done.exception, LoopshapeError) or done.exit_code == 2
+        assert isinstance(done.exception, ls.LoopshapeError) or done.exit_code == 2
         return str(done.exception)
     assert done.exit_code == code, done.output + repr(done.exception)
     return done.stdout
@@ -50,7 +46,7 @@ def run(tmp_path):
         P = TransferFunction([gain], [1.0, 6.0, 0.0], 0.004).response(f)
         spread = ((0.01 * np.abs(P)) ** 2)[:, None, None].astype(complex)
         mark = np.ones(f.size, dtype=bool)
-        one = FRF(f, P[:, None, None], spread, mark, ("z_v",), ("y_rad",), "made up", f"r{k + 1}", "axis", RATE)
+        one = ls.FRF(f, P[:, None, None], spread, mark, ("z_v",), ("y_rad",), "made up", f"r{k + 1}", "axis", RATE)
         write_frfs(tmp_path / f"part{k}", [one])
     (tmp_path / "run" / "frf").mkdir(parents=True)
     for k in range(2):
@@ -67,7 +63,7 @@ def require(folder, more="", text=REQUIRE):
 
 def start_file(folder, blocks=BLOCKS, loop="axis"):
     path = folder.parent / "start.toml"
-    write_controllers(path, [Controller(loop, blocks, RATE)])
+    ls.write(ls.Controller(loop, blocks, RATE), path)
     return path
 
 
@@ -79,7 +75,7 @@ def test_a_warm_start_alone_improves_and_says_what_it_moved(run):
     assert told["outcome"] == "passed"
     assert told["moved"] == ["f2_hz of the lead_lag block is 240, outside its bounds; started from 200"]
     assert "start: f2_hz of the lead_lag block is 240" in loopshape(*words)
-    assert read_controllers(out)[0].blocks[0].parameters["gain"] > 0.004
+    assert ls.read_controllers(out)[0].blocks[0].parameters["gain"] > 0.004
 
 
 def test_a_start_of_other_blocks_or_loops_is_refused(run):
@@ -127,7 +123,7 @@ def test_loops_of_a_matrix_are_tuned_in_turn(tmp_path):
     told = json.loads(loopshape(*words, "--json"))
     assert told["converged"]
     assert [one["loop"] for one in told["rounds"]][:4] == ["a", "b", "a", "b"]
-    assert [one.loop for one in read_controllers(out)] == ["a", "b"]
+    assert [one.loop for one in ls.read_controllers(out)] == ["a", "b"]
     printed = loopshape(*words, "--profile", "servo")
     assert "Loops in turn" in printed
     assert "Profile servo" in printed

@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import loopshape
+from run_files import read_frfs
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import json_ready
 from loopshape.core.toolboxes import Found, Toolbox
-from loopshape.io.write.frfs import read_frfs
 from loopshape.verbs import estimates
 
 RATE_HZ = 500.0
@@ -155,5 +154,5 @@ def test_a_loop_that_nothing_excites_alone_is_refused():
     (one,) = run.recordings
     two = replace(one, info=replace(one.info, excites="other"))
     other = replace(run, loops=(*run.loops, replace(run.loops[0], name="other")), recordings=(two,))
-    with pytest.raises(WrongUseError, match="no recording excites this loop alone"):
+    with pytest.raises(ls.errors.WrongUseError, match="no recording excites this loop alone"):
         ls.estimate(other, "loop")

@@ -5,18 +5,17 @@ import json
 import numpy as np
 import pytest
 from commands import loopshape
+from run_files import read_frfs
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.io.run.run_folder import write_run
-from loopshape.io.write.frfs import read_frfs
 
 RATE_HZ = 100.0
 
 
 def recorded(folder, u, seed, loop="axis"):
     y = lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.02 * np.random.default_rng(seed).standard_normal(u.size)
-    write_run(folder, ls.Run.from_arrays(u=u, y=y, rate_hz=RATE_HZ, loop=loop))
+    ls.write(ls.Run.from_arrays(u=u, y=y, rate_hz=RATE_HZ, loop=loop), folder)
 
 
 def truth_at(f_hz):

@@ -5,18 +5,14 @@ import json
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
+from bench_nouns import RecordingInfo
+from commands import invoked
+from run_files import add_recording, read_journal, read_toml, start_run, verify, write_toml
 
+import loopshape as ls
 from loopshape import __version__
-from loopshape.cli.main import app
-from loopshape.core.errors import UnreadableInputError
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.files import read_toml, write_toml
 from loopshape.io.provenance import file_sha256, versions
-from loopshape.io.run.journal import FILE, note, read_journal
-from loopshape.io.run.run_folder import add_recording, read_run, start_run
-from loopshape.io.run.verify import verify
+from loopshape.io.run.journal import FILE, note
 
 RATE = 100.0
 
@@ -24,7 +20,7 @@ RATE = 100.0
 def recording(name, seed=1):
     noise = np.random.default_rng(seed).normal(size=500)
     info = RecordingInfo(f"{name}.parquet", "open_loop", "control", closed_loop=False)
-    return Recording(info, RATE, {"z_a_v": noise, "y_rad": 2.0 * noise})
+    return ls.Recording(info, RATE, {"z_a_v": noise, "y_rad": 2.0 * noise})
 
 
 @pytest.fixture
@@ -33,7 +29,7 @@ def run(tmp_path):
     study.write_text("# a study\n")
     folder = tmp_path / "run"
     extra = {"study_sha256": file_sha256(study), "provenance": {**versions(), "seed": 3}}
-    start_run(folder, Run(RATE, (), (), None, {}, extra))
+    start_run(folder, ls.Run(RATE, (), (), None, {}, extra))
     add_recording(folder, recording("a", 1))
     add_recording(folder, recording("b", 2))
     return folder
@@ -45,7 +41,7 @@ def outcomes(folder, study=None):
 
 def test_a_run_as_it_was_written_is_sound(run):
     assert set(outcomes(run, run.parent / "study.toml").values()) == {True}
-    result = CliRunner().invoke(app, ["verify", str(run), "--json"])
+    result = invoked(["verify", str(run), "--json"])
     assert result.exit_code == 0
     assert json.loads(result.stdout)["sound"] is True
 
@@ -58,16 +54,16 @@ def test_a_single_changed_bit_is_found_and_the_table_is_not_read(run, place):
     path.write_bytes(data)
     assert outcomes(run)["table b.parquet"] is False
     assert outcomes(run)["table a.parquet"] is True
-    assert CliRunner().invoke(app, ["verify", str(run)]).exit_code == 1
-    with pytest.raises(UnreadableInputError):
-        read_run(run).recording("b").column("y_rad")
+    assert invoked(["verify", str(run)]).exit_code == 1
+    with pytest.raises(ls.errors.UnreadableInputError):
+        ls.read(run).recording("b").column("y_rad")
 
 
 def test_a_table_of_another_recording_is_found(run):
     (run / "b.parquet").write_bytes((run / "a.parquet").read_bytes())
     assert outcomes(run)["table b.parquet"] is False
-    with pytest.raises(UnreadableInputError, match="is not the file that was written"):
-        read_run(run).recording("b").column("y_rad")
+    with pytest.raises(ls.errors.UnreadableInputError, match="is not the file that was written"):
+        ls.read(run).recording("b").column("y_rad")
 
 
 def test_another_study_is_found(run, tmp_path):
@@ -95,7 +91,7 @@ def test_what_has_no_hash_cannot_be_told(run):
 
 def test_values_that_are_no_numbers_are_found(run):
     bad = recording("c", 3)
-    add_recording(run, Recording(bad.info, RATE, {**bad.columns, "y_rad": np.full(500, np.nan)}))
+    add_recording(run, ls.Recording(bad.info, RATE, {**bad.columns, "y_rad": np.full(500, np.nan)}))
     assert outcomes(run)["columns of c.parquet"] is False
 
 
@@ -109,7 +105,7 @@ def test_a_table_says_in_itself_where_it_comes_from(run):
 
 def test_the_same_recording_twice_gives_the_same_file(run, tmp_path):
     again = tmp_path / "again"
-    start_run(again, Run(RATE, (), (), None, {}, dict(read_run(run).extra)))
+    start_run(again, ls.Run(RATE, (), (), None, {}, dict(ls.read(run).extra)))
     add_recording(again, recording("a", 1))
     assert (again / "a.parquet").read_bytes() == (run / "a.parquet").read_bytes()
 

@@ -5,12 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopSetup, RecordingInfo
 
-from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.io.run import run_folder
 from loopshape.io.run.run_folder import (
     add_recording,
@@ -68,7 +65,7 @@ def controller():
         Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
         Block("pi", {"f_hz": 0.1}),
     )
-    return Controller("theta2", blocks, RATE_HZ)
+    return ls.Controller("theta2", blocks, RATE_HZ)
 
 
 def columns(n=400, seed=0):
@@ -89,7 +86,7 @@ def recording(name="r01", **changes):
         periodic_from_s=0.5,
         ended_early="the angle left its limits after 3 s",
     )
-    return Recording(replace(info, **changes), RATE_HZ, columns())
+    return ls.Recording(replace(info, **changes), RATE_HZ, columns())
 
 
 def run(*recordings):
@@ -98,7 +95,7 @@ def run(*recordings):
         LoopSetup("open", None, None, "u_v", "p_a_bar + p_b_bar", None),
     )
     extra = {"parameters": {"mass_kg": 95.1}, "label": 'a "quoted" name\nof two lines', "list": [1, [2.5]], "no": False}
-    return Run(RATE_HZ, loops, recordings, "arm-1dof", {"frequency_hz": 50.0, "dead_zone": 0.01}, extra)
+    return ls.Run(RATE_HZ, loops, recordings, "arm-1dof", {"frequency_hz": 50.0, "dead_zone": 0.01}, extra)
 
 
 def assert_same_header(one, other):
@@ -130,7 +127,7 @@ def two_loops(*recordings, outputs=()):
         LoopSetup("theta2", "r_theta2_rad", "n_theta2_rad", "z_theta2_v", "theta2_rad", None),
         LoopSetup("theta1", "r_theta1_rad", "n_theta1_rad", "z_theta1_v", "theta1_rad", None),
     )
-    return Run(RATE_HZ, loops, recordings, outputs=outputs)
+    return ls.Run(RATE_HZ, loops, recordings, outputs=outputs)
 
 
 def both(**changes):
@@ -165,7 +162,7 @@ def test_further_excited_loops_and_outputs_come_back(tmp_path):
 def test_a_run_of_other_outputs_is_another_run(tmp_path, outputs):
     write_run(tmp_path / "run", two_loops(both(), outputs=OUTPUTS))
     start_run(tmp_path / "run", two_loops(outputs=OUTPUTS))
-    with pytest.raises(WrongUseError, match="already holds another run; received different outputs"):
+    with pytest.raises(ls.errors.WrongUseError, match="already holds another run; received different outputs"):
         start_run(tmp_path / "run", two_loops(outputs=outputs))
 
 
@@ -182,7 +179,7 @@ def test_signals_of_every_excited_loop_and_every_output_must_move(name):
     assert check_recordings(two_loops(both(), outputs=OUTPUTS)) == []
     stuck = both(**{name: np.full(400, 2.5)})
     with pytest.raises(
-        BadSignalError, match=rf"{name} of recording r01\.parquet does not move although loop .* is exc"
+        ls.errors.BadSignalError, match=rf"{name} of recording r01\.parquet does not move although loop .* is exc"
     ):
         check_recordings(two_loops(stuck, outputs=OUTPUTS))
 
@@ -316,7 +313,7 @@ def test_stamps_within_a_hundredth_of_a_sample_keep_the_rate():
     check_rate(np.round(t, 6), 1000.0)
     check_rate(t + 0.9e-5 * (-1.0) ** np.arange(10_000) * (np.arange(10_000) > 0), 1000.0)
     assert "scatter" in check_rate(t + 2.1e-5 * (np.arange(10_000) == 500), 1000.0)
-    with pytest.raises(BadSignalError, match="now and then"):
+    with pytest.raises(ls.errors.BadSignalError, match="now and then"):
         check_rate(t + 2.1e-3 * (np.arange(10_000) == 500), 1000.0)
 
 

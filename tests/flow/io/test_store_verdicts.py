@@ -8,10 +8,11 @@ from math import inf, nan
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from bench_nouns import LIMITS
 from markdown_it import MarkdownIt
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
-from loopshape.data.requirement.requirements import LIMITS, Margins
+import loopshape as ls
 from loopshape.io.files import read_json
 from loopshape.io.write.junit import write_junit
 from loopshape.io.write.markdown import markdown, write_markdown
@@ -36,7 +37,7 @@ FOUND = checked(POINTS, LINES, warnings=("be careful",), controller=replace(OTHE
 
 def same(one, other):
     """Equal field by field, NaN equal to NaN, kinds included."""
-    for field in fields(Margins):
+    for field in fields(ls.Margins):
         mine, theirs = getattr(one, field.name), getattr(other, field.name)
         assert type(mine) is type(theirs)
         np.testing.assert_equal(theirs, mine)

@@ -19,14 +19,14 @@ import numpy as np
 import pytest
 import report_run
 import typer
+from bench_nouns import Line
 from page_in_browser import browser, until
+from run_files import gather
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.verify.report import report
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.result.verdict import Line
 from loopshape.data.result.verdict_words import interval_or_bound_text
-from loopshape.io.run.gathered import gather
 from loopshape.view.html.markup import VOID, Markup, json_block, tag
 from loopshape.view.html.page import page
 from loopshape.view.html.words import with_reach
@@ -249,7 +249,7 @@ def test_a_run_of_recordings_alone_says_what_to_do_next(tmp_path: Path) -> None:
 
 
 def test_frfs_alone_are_drawn_and_the_rest_is_asked_for(tmp_path: Path) -> None:
-    from loopshape.io.write.frfs import write_frfs
+    from run_files import write_frfs
 
     write_frfs(tmp_path, [report_run.frf("near", 40.0, 0.1)])
     found = Page(page(gather(tmp_path, None, None, DATE)))
@@ -281,7 +281,7 @@ def test_a_loop_that_cannot_be_checked_is_not_passed(run: Path, tmp_path: Path) 
 
 
 def test_a_folder_without_data_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LoopshapeError, match="needs recordings or frequency responses"):
+    with pytest.raises(ls.LoopshapeError, match="needs recordings or frequency responses"):
         gather(tmp_path, None, None, DATE)
 
 

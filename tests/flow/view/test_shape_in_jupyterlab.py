@@ -18,7 +18,7 @@ import pytest
 HELPERS = Path(__file__).parents[2] / "helpers"
 TOKEN = "shape"
 CELLS = (
-    f"import sys; sys.path[:0] = [{str(HELPERS)!r}, {str(HELPERS / 'loops')!r}]\n"
+    f"import sys; sys.path[:0] = {[str(HELPERS / name) for name in ('', 'loops', 'nouns')]!r}\n"
     "import loopshape as ls, shaped_cases\n"
     "P, R, C = shaped_cases.bench()\n"
     "w = ls.shape(P, C, R, None)\n"

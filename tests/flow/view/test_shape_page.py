@@ -19,13 +19,9 @@ import page_in_browser
 import pytest
 import several_cases
 import shaped_cases
+from bench_nouns import Block
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.block import Block
-from loopshape.data.control.controller import Controller
-from loopshape.io.write.controllers import write_controllers
-from loopshape.loop.verdict import check
 from loopshape.verbs.shape_server import ShapeServer
 from loopshape.verbs.shaping import SeveralLoops, shaped
 from loopshape.view.page import page as page_module
@@ -124,7 +120,7 @@ def test_the_bench_is_shaped_by_hand_from_gain_1_and_check_signs_it(page: Any, t
     assert state(page)["outcome"] == "passed"
     (C,) = ls.read_controllers(saved(page, "controller", tmp_path))
     (R,) = ls.read_requirements(saved(page, "requirements", tmp_path))
-    assert check([shaped_cases.bench()[0]], C, R).passed
+    assert ls.check([shaped_cases.bench()[0]], C, R).passed
 
 
 def test_files_are_byte_for_byte_those_of_python(page: Any, tmp_path: Path) -> None:
@@ -132,7 +128,7 @@ def test_files_are_byte_for_byte_those_of_python(page: Any, tmp_path: Path) -> N
         ls.gain(-2.5e-5), ls.lead_lag(3.0, 33.25), ls.notch(80.1, 0.09, 0.3), ls.low_pass(300.0, 0.7), ls.pi(0.1),
         rate_hz=2500.0, loop="motor", computation_delay_s=1e-5, prewarp_hz=80.0, precision="q8.30",
     )  # fmt: skip
-    write_controllers(tmp_path / "mine.toml", [C])
+    ls.write(C, tmp_path / "mine.toml")
     page.set_input_files("#file", tmp_path / "mine.toml")
     page.get_by_text("controller read from mine.toml").wait_for()
     assert saved(page, "controller", tmp_path).read_bytes() == (tmp_path / "mine.toml").read_bytes()
@@ -333,7 +329,7 @@ def test_masks_limits_of_single_points_pid_and_sections_are_shown_and_kept(brows
     )
     section = Block("section", {"n0": 1.0, "n1": 0.01, "n2": 0.0, "d0": 1.0, "d1": 0.001, "d2": 0.0})
     pid = Block("pid", {"gain": 2.0, "fi_hz": 0.5, "fd_hz": 30.0, "ff_hz": 250.0})
-    C = Controller("x", (pid, section), shaped_cases.RATE_HZ)
+    C = ls.Controller("x", (pid, section), shaped_cases.RATE_HZ)
     heavier = ls.AtPoints(
         {"load_kg": (2.0, 4.0)}, {"phase_margin_deg": 70.0}, (ls.Mask("S", ((0.5, -6.0), (9.0, 6.0))),)
     )
@@ -377,7 +373,7 @@ def test_operating_points_may_have_names_of_their_own(tmp_path: Path) -> None:
 
 def test_a_plant_without_a_rate_needs_a_controller(tmp_path: Path) -> None:
     P = ls.FRF.from_arrays(np.geomspace(1.0, 10.0, 20), np.ones(20) + 0j, relative_std=0.01)
-    with pytest.raises(WrongUseError, match="rate"):
+    with pytest.raises(ls.errors.WrongUseError, match="rate"):
         ls.shape(P, out=tmp_path / "none.html")
 
 
@@ -561,6 +557,6 @@ def test_served_the_page_certifies_tunes_and_saves(browser: Any, server: ShapeSe
     page.get_by_text("saved to").wait_for()
     (C,) = ls.read_controllers(server.save_to)
     assert [dict(block.parameters) for block in C.blocks] == [x["parameters"] for x in tuned["controller"]["blocks"]]
-    write_controllers(tmp_path / "python.toml", [C])
+    ls.write(C, tmp_path / "python.toml")
     assert server.save_to.read_bytes() == (tmp_path / "python.toml").read_bytes()
     context.close()

@@ -10,7 +10,6 @@ import pytest
 import shaped_cases
 
 import loopshape as ls
-from loopshape.loop.verdict import check
 
 #: seconds that a click, a key, a look at a step of the walk take
 CLICK, KEY, READ = 0.4, 0.15, 4.0
@@ -87,7 +86,7 @@ def test_from_a_gain_of_1_to_a_signed_controller_in_under_three_minutes(page: An
     taken = time.monotonic() - begun
     print(f"{taken:.0f} s, {person.clicks} clicks, {person.keys} keys, one drag")
     P, R, _ = shaped_cases.bench()
-    assert check([P], ls.read_controllers(tmp_path / "controller.toml")[0], R).passed
+    assert ls.check([P], ls.read_controllers(tmp_path / "controller.toml")[0], R).passed
     assert taken < 180.0
 
 

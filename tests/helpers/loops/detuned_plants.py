@@ -7,11 +7,9 @@ controllers run at 20 kHz, where Tustin's rule moves nothing below 100 Hz by mor
 from dataclasses import dataclass
 
 import numpy as np
+from bench_nouns import Block, BlockTemplate
 
-from loopshape.data.control.block import BlockTemplate
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 
 RATE_HZ = 20000.0
 TWO_PI = 2.0 * np.pi
@@ -33,7 +31,7 @@ BENCH = (Mode(58.84, 0.0039, 0.6),)
 CANCELLED = (Mode(58.84, 0.0039, 3.0),)
 TWO_MODES = (Mode(58.84, 0.0039, 0.6), Mode(140.0, 0.01, -0.05))
 #: a structure that may cancel the mode, and limits of its loop
-ASKED = Requirements(
+ASKED = ls.Requirements(
     "axis", sensitivity_peak_db=6.0, phase_margin_deg=40.0, unstable_poles=0,
     structure=tuple(
         BlockTemplate.from_table(table)
@@ -78,7 +76,7 @@ def frf_of(modes, f_hz, relative=1e-4, seed=0, shifts=None):
     rng = np.random.default_rng(seed)
     noise = (rng.standard_normal(f_hz.size) + 1j * rng.standard_normal(f_hz.size)) / np.sqrt(2.0)
     std = relative * np.abs(P)
-    return FRF(
+    return ls.FRF(
         frequency_hz=f_hz,
         response=(P + std * noise)[:, None, None],
         covariance=(std**2 + 0j)[:, None, None],
@@ -100,7 +98,7 @@ def controller_with(*notches, gain=0.2, crossover_hz=12.0):
         *(Block("notch", {"f1_hz": f, "f2_hz": f, "damping1": d1, "damping2": d2}) for f, d1, d2 in notches),
         Block("low_pass_2", {"f_hz": 300.0, "damping": 0.7}),
     ]
-    return Controller("axis", tuple(blocks), RATE_HZ)
+    return ls.Controller("axis", tuple(blocks), RATE_HZ)
 
 
 def closed(modes, shifts, controller, whole=0.0):

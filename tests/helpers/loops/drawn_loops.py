@@ -1,12 +1,10 @@
 """Loops under a plain gain with noise on their lines and modes between them; for the tests of the certificate."""
 
 import numpy as np
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.identify.smooth.smoothing import smoothed
 
 RATE = 1e5
@@ -70,7 +68,7 @@ def frf_of(f, P, std, rng=None):
     """Lines with a standard deviation sqrt E|d|² (nf,), noisy where there is a generator."""
     variance = np.broadcast_to(np.asarray(std, dtype=float) ** 2, f.shape)
     noisy = P if rng is None else P + np.sqrt(variance) * errors(rng, f.size)
-    return FRF(
+    return ls.FRF(
         f, noisy[:, None, None], variance[:, None, None] + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",),
         "drawn", rate_hz=RATE,
     )  # fmt: skip
@@ -78,7 +76,7 @@ def frf_of(f, P, std, rng=None):
 
 def loop_of(plant, frf, gain=1.0, *, blocks=(), smooth=True):
     """The loop as a check makes it: smoothed over its lines, with these beside it."""
-    controller = Controller("axis", (Block("gain", {"gain": float(gain)}), *blocks), RATE)
+    controller = ls.Controller("axis", (Block("gain", {"gain": float(gain)}), *blocks), RATE)
     made, scatter = smoothed(frf) if smooth else (frf, None)
     raw = frf if smooth else None
     return Loop(made, controller, plant.integrators(), plant.unstable_poles(), raw=raw, scatter=scatter)

@@ -5,19 +5,18 @@ noise on the sensor. Everything may be (records, n): the last axis is time.
 """
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo
+from conversions import TWO_PI
 from scipy.signal import freqz, lfilter
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 
 RATE = 100.0
 # a resonance at 8 Hz that rings for 0.1 s, a slow pole, a delay of one sample: short against every segment used
 A = np.poly([0.9 * np.exp(0.5j), 0.9 * np.exp(-0.5j), 0.8]).real
 B = np.array([0.0, 0.05, 0.02])
-CONTROLLER = Controller("axis", (Block("gain", {"gain": 0.5}), Block("low_pass_1", {"f_hz": 5.0})), RATE)
+CONTROLLER = ls.Controller("axis", (Block("gain", {"gain": 0.5}), Block("low_pass_1", {"f_hz": 5.0})), RATE)
 LOOP = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", CONTROLLER)
 
 
@@ -63,7 +62,7 @@ def record(place, kind, n, z, y, period_s=None, from_s=None):
             "r_rad": moved if place == "reference" else still,
             "n_rad": still if place == "reference" else moved,
         }
-    return Recording(info, RATE, columns)
+    return ls.Recording(info, RATE, columns)
 
 
 def estimates(place, kind, n, v, settings=None, **period):

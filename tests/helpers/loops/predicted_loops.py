@@ -5,19 +5,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo, TransferFunction
+from conversions import TWO_PI, Array, ComplexArray
 
-from loopshape.core.units import TWO_PI, Array, ComplexArray
+import loopshape as ls
 from loopshape.data.algebra import feedback
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.result.prediction import Prediction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
 
 RATE_HZ = 1000.0
-OLD = Controller("a", (Block("gain", {"gain": 0.5}),), RATE_HZ)
-NEW = Controller(
+OLD = ls.Controller("a", (Block("gain", {"gain": 0.5}),), RATE_HZ)
+NEW = ls.Controller(
     "a",
     (
         Block("gain", {"gain": 12.2}),
@@ -44,9 +40,9 @@ def errors(rng: np.random.Generator, lines: int, overlap: float) -> ComplexArray
 
 
 def measured(
-    rng: np.random.Generator, f: Array, P: ComplexArray, relative: float | Array, held: Controller,
+    rng: np.random.Generator, f: Array, P: ComplexArray, relative: float | Array, held: ls.Controller,
     *, overlap: float = 1.0, averages: int = 0, pooled: int = 1,
-) -> FRF:  # fmt: skip
+) -> ls.FRF:  # fmt: skip
     """A plant's FRF with relative errors: variance known (no averages), or from the scatter of so many, pooled."""
     e, variance, freedom = errors(rng, f.size, overlap), np.ones(f.size), np.inf
     if averages:
@@ -57,26 +53,26 @@ def measured(
         freedom = 2.0 * (averages - 1) * pooled / (overlap if pooled > 1 else 1.0)
     std = relative * np.abs(P)
     covariance = (std**2 * variance)[:, None, None].astype(complex)
-    return FRF(
+    return ls.FRF(
         f, (P + std * e)[:, None, None], covariance, np.ones(f.size, dtype=bool),
         ("z_a_v",), ("a_rad",), "made", recording="made", loop="a", rate_hz=RATE_HZ, line_overlap=overlap,
         variance_freedom=freedom, variance_pooled=pooled, held_by=held,
     )  # fmt: skip
 
 
-def predicted(plant: FRF, controller: Controller = NEW) -> Prediction:
+def predicted(plant: ls.FRF, controller: ls.Controller = NEW) -> ls.Prediction:
     """What a FRF predicts of S under a controller, without a step."""
     S = replace(feedback(plant, controller).S_o, held_by=controller, loop="a")
-    return Prediction(S, "stable")
+    return ls.Prediction(S, "stable")
 
 
 SETUP = LoopSetup("a", "r_a_rad", "n_a_rad", "z_a_v", "a_rad", NEW)
 
 
 def recording(
-    rng: np.random.Generator, plant: TransferFunction, controller: Controller, noise: float, *,
+    rng: np.random.Generator, plant: TransferFunction, controller: ls.Controller, noise: float, *,
     injection: str = "controller_input", periods: int = 8, period_s: float = 4.0, name: str = "m",
-) -> Recording:  # fmt: skip
+) -> ls.Recording:  # fmt: skip
     """A loop in steady state under a multisine of 0.25 to 20 Hz, with white noise of deviation `noise` on its output.
 
     Made by transforms, so that nothing leaks.
@@ -105,4 +101,4 @@ def recording(
     if injection == "plant_input":
         columns = {("n_a_v" if k == "n_a_rad" else k): x for k, x in columns.items()}
     info = RecordingInfo(f"{name}.parquet", "multisine", injection, excites="a", period_s=period_s, periodic_from_s=0.0)
-    return Recording(info, rate_hz, columns)
+    return ls.Recording(info, rate_hz, columns)

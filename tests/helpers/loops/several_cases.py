@@ -1,18 +1,17 @@
 """What the tests of several loops share: matrix FRFs, plants in state space, and their closed loops' poles."""
 
 import numpy as np
+from bench_nouns import Block, LoopMatrix
+from conversions import TWO_PI
 from scipy.linalg import block_diag
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import LoopMatrix
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 
 RATE_HZ = 1e6  # far above all lines: Tustin's warping does not matter
 
 
 def gain(name, value=1.0, *blocks):
-    return Controller(name, (Block("gain", {"gain": float(value)}), *blocks), RATE_HZ)
+    return ls.Controller(name, (Block("gain", {"gain": float(value)}), *blocks), RATE_HZ)
 
 
 def pi(f_hz):
@@ -32,14 +31,14 @@ def frf_of(f, response, relative=1e-8, *, units=None, loop="", recording="exact"
     outputs = tuple(f"{chr(97 + k)}_{(units or ['m'] * n)[k]}" for k in range(n))
     inputs = tuple(f"z_{chr(97 + k)}_v" for k in range(n))
     known = np.ones(len(f), dtype=bool)
-    return FRF(f, response, covariance, known, inputs, outputs, "exact", recording, loop, RATE_HZ)
+    return ls.FRF(f, response, covariance, known, inputs, outputs, "exact", recording, loop, RATE_HZ)
 
 
 def noisy(frf, rng):
     """The FRF with a draw of its own errors."""
     std = np.sqrt(0.5 * frf.variance)
     error = std * (rng.normal(size=std.shape) + 1j * rng.normal(size=std.shape))
-    return FRF(
+    return ls.FRF(
         frf.frequency_hz, frf.response + error, frf.covariance, frf.trusted, frf.inputs, frf.outputs, "drawn",
         frf.recording, frf.loop, frf.rate_hz,
     )  # fmt: skip

@@ -4,16 +4,15 @@ from functools import cache
 
 import motor_bench
 import numpy as np
+from bench_nouns import Block
 
 import loopshape as ls
-from loopshape.data.control.block import Block
-from loopshape.data.control.controller import Controller
 
 RATE_HZ = 1000.0
 
 
 @cache
-def bench() -> tuple[ls.FRF, ls.Requirements, Controller]:
+def bench() -> tuple[ls.FRF, ls.Requirements, ls.Controller]:
     """The motor bench with its shipped requirements and controller."""
     P, folder = ls.frf(motor_bench.run()), motor_bench.FOLDER
     return P, ls.read_requirements(folder / "requirements.toml")[0], ls.read_controllers(folder / "controller.toml")[0]
@@ -68,7 +67,7 @@ def crowded(name: str) -> ls.FRF:
     return noisy(f, P, noise, name, seed=1)
 
 
-def moved(C: Controller, rng: np.random.Generator) -> Controller:
+def moved(C: ls.Controller, rng: np.random.Generator) -> ls.Controller:
     """A controller with all parameters moved, and now and then another block, a delay, or another precision."""
     blocks = [
         Block(b.kind, {name: float(v * np.exp(0.5 * rng.standard_normal())) for name, v in b.parameters.items()})
@@ -82,6 +81,6 @@ def moved(C: Controller, rng: np.random.Generator) -> Controller:
     timing = {"computation_delay_s": float(rng.uniform(0.0, 2e-3))} if rng.random() < 0.4 else {}
     precision = str(rng.choice(["double", "double", "single", "q8.28"]))
     try:
-        return Controller(C.loop, tuple(blocks), C.rate_hz, precision=precision, **timing)
+        return ls.Controller(C.loop, tuple(blocks), C.rate_hz, precision=precision, **timing)
     except ls.LoopshapeError:  # coefficients that the drawn precision does not hold
-        return Controller(C.loop, tuple(blocks), C.rate_hz, **timing)
+        return ls.Controller(C.loop, tuple(blocks), C.rate_hz, **timing)

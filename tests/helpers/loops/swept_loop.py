@@ -6,14 +6,12 @@ The truth needs nothing of loopshape: the loop is run by its difference equation
 from collections.abc import Callable
 
 import numpy as np
+from bench_nouns import LoopSetup, RecordingInfo
+from conversions import TWO_PI, Array, ComplexArray
 from scipy.signal import cont2discrete, csd, freqz, lfilter
 from scipy.stats import f as f_distribution
 
-from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.response.frf import FRF
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 
 LOW, HIGH = 0.5, 80.0
 Truth = Callable[[Array, float], ComplexArray]
@@ -63,14 +61,14 @@ def run_loop(place: str, n: Array, v: Array, rate_hz: float) -> tuple[Array, Arr
     return z, y
 
 
-def measured(place: str, n: Array, rate_hz: float, seed: int, drift: float) -> Recording:
+def measured(place: str, n: Array, rate_hz: float, seed: int, drift: float) -> ls.Recording:
     """A recording with noise 40 dB below the output's rms, and a drift of that rms times `drift`."""
     clean = float(run_loop(place, n, np.zeros(n.size), rate_hz)[1].std())
     t = np.linspace(-0.5, 0.5, n.size)
     v = 0.01 * clean * np.random.default_rng(seed).standard_normal(n.size)
     z, y = run_loop(place, n, v + drift * clean * (t + 0.3 * np.sin(7.0 * t)), rate_hz)
     columns = {"z_v": z, "y_rad": y, "r_rad": np.zeros(n.size), "n_rad": n}
-    return Recording(RecordingInfo("r1.parquet", "sweep", place, excites="axis"), rate_hz, columns)
+    return ls.Recording(RecordingInfo("r1.parquet", "sweep", place, excites="axis"), rate_hz, columns)
 
 
 #: numerator and denominator of a plant in open loop, by powers of 1/z (case V6)
@@ -82,15 +80,15 @@ def easy_plant(f_hz: Array, rate_hz: float) -> ComplexArray:
     return np.asarray(freqz(*IN_ARRAYS, worN=TWO_PI * f_hz / rate_hz)[1])
 
 
-def in_arrays(n: Array, rate_hz: float, seed: int) -> tuple[Run, dict[str, float]]:
+def in_arrays(n: Array, rate_hz: float, seed: int) -> tuple[ls.Run, dict[str, float]]:
     """A sweep n as arrays alone, which say nothing of its kind, with noise of 1 %, and the errors of the peers."""
     y = lfilter(*IN_ARRAYS, n)
     y = y + 0.01 * y.std() * np.random.default_rng(seed).standard_normal(n.size)
-    run = Run.from_arrays(u=n, y=y, rate_hz=rate_hz)
+    run = ls.Run.from_arrays(u=n, y=y, rate_hz=rate_hz)
     return run, _peer_errors(n, n, y, rate_hz, easy_plant)
 
 
-def peer_errors(record: Recording, place: str) -> dict[str, float]:
+def peer_errors(record: ls.Recording, place: str) -> dict[str, float]:
     """Median error of each known estimator: whole-record ratios and Welch's against the injection, and Welch's H1."""
     n, z, y = (record.column(k) for k in ("n_rad", "z_v", "y_rad"))
     return _peer_errors(n, z + n if place == "plant_input" else z, y, record.rate_hz, plant)
@@ -123,7 +121,7 @@ def median_error(f_hz: Array, P: ComplexArray, rate_hz: float, truth: Truth = pl
     return float(np.median(np.abs(P[inside] / truth(f_hz[inside], rate_hz) - 1.0)))
 
 
-def share_inside(frf: FRF, rate_hz: float, gain: float = 1.0, truth: Truth = plant) -> float:
+def share_inside(frf: ls.FRF, rate_hz: float, gain: float = 1.0, truth: Truth = plant) -> float:
     """Share of errors, from the plant times `gain`, within 95 % of an F distribution with the stated freedom."""
     error = np.abs(frf.siso - gain * truth(frf.frequency_hz, rate_hz)) ** 2
     reach = f_distribution.ppf(0.95, 2, frf.variance_freedom)

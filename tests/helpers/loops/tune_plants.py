@@ -1,12 +1,10 @@
 """Plants and structures for the tuner's tests: integrators with delay, and a flexible servo at three loads."""
 
 import numpy as np
+from bench_nouns import Block, TransferFunction
+from conversions import angular
 
-from loopshape.core.units import angular
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.design.problem.problem import problem
 from loopshape.loop.verdict import loops_of
 
@@ -37,7 +35,7 @@ def frf(model, lines=800, name="one", low_hz=0.05, high_hz=100.0, std=0.0, seed=
     G, rng = model.response(f), np.random.default_rng(seed)
     noise = (rng.standard_normal(lines) + 1j * rng.standard_normal(lines)) / np.sqrt(2.0)
     covariance = (np.abs(G) * max(std, 1e-10)) ** 2
-    return FRF(
+    return ls.FRF(
         f, (G * (1.0 + std * noise))[:, None, None], covariance[:, None, None].astype(complex),
         np.ones(lines, dtype=bool), ("z_v",), ("y_rad",), "known", name, "one", RATE,
     )  # fmt: skip
@@ -58,12 +56,12 @@ def servos(std=0.0, lines=400):
 
 def wished(*structure, **limits):
     """Requirements of the loop "one", whose plant has one integrator; a gain where no structure is given."""
-    return Requirements.from_table(
+    return ls.Requirements.from_table(
         {"name": "one", "integrators": 1, "unstable_poles": 0, "structure": list(structure) or [GAIN]} | limits
     )
 
 
 def problem_of(frfs, requirements, **runs):
     """The tuner's problem of FRFs, with what makes a controller run otherwise."""
-    unit = Controller("one", (Block("gain", {"gain": 1.0}),), RATE, **runs)
+    unit = ls.Controller("one", (Block("gain", {"gain": 1.0}),), RATE, **runs)
     return problem(loops_of(frfs, unit, requirements)[0], requirements, RATE)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 
 RATE = 1000.0
 F = np.geomspace(0.2, 200.0, 200)
@@ -17,6 +17,6 @@ def matrix(coupling, delays=(0.004, 0.006), name="one"):
     P[:, 0, 0], P[:, 1, 1] = own[0], 1.2 * own[1]
     P[:, 0, 1], P[:, 1, 0] = coupling * across * own[1], -0.8 * coupling * across * own[0]
     covariance = np.tile(1e-16 * np.eye(4, dtype=complex), (F.size, 1, 1))
-    return FRF(
+    return ls.FRF(
         F, P, covariance, np.ones(F.size, dtype=bool), ("z_a", "z_b"), ("y_a", "y_b"), "known", name, "a+b", RATE
     )  # fmt: skip

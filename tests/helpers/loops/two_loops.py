@@ -1,12 +1,10 @@
 """Two coupled loops with a known plant, one excited at a time: their responses, and runs of them."""
 
 import numpy as np
+from bench_nouns import Block, LoopSetup, RecordingInfo
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 
 RATE, PLACES = 100.0, ("controller_input", "plant_input")
 # x+ = A x + B u, y = C x: four states, each output feels both inputs; rings for 0.1 s
@@ -49,7 +47,7 @@ def setups(place):
     unit = "rad" if place == "controller_input" else "v"
     return tuple(
         LoopSetup(f"l{k}", None, f"n{k}_{unit}", f"z{k}_v", f"y{k}_rad",
-                  Controller(f"l{k}", (Block("gain", {"gain": float(GAINS[k])}),), RATE))
+                  ls.Controller(f"l{k}", (Block("gain", {"gain": float(GAINS[k])}),), RATE))
         for k in (0, 1)
     )  # fmt: skip
 
@@ -58,7 +56,7 @@ def recording(loops, excited, place, n, z, y, kind="noise", **period):
     info = RecordingInfo(f"r{excited}.parquet", kind, place, excites=f"l{excited}", **period)
     columns = {f"z{k}_v": z[:, k] for k in (0, 1)} | {f"y{k}_rad": y[:, k] for k in (0, 1)}
     columns |= {str(loops[k].injected): n if k == excited else np.zeros(n.size) for k in (0, 1)}
-    return Recording(info, RATE, columns)
+    return ls.Recording(info, RATE, columns)
 
 
 def runs(place, signals, noise, records, kind="noise", **period):
@@ -69,7 +67,7 @@ def runs(place, signals, noise, records, kind="noise", **period):
         z, y = simulated(signals[k], k, place, noise, 10 + k, records)
         n = np.broadcast_to(signals[k], z.shape[:2])
         made.append([recording(loops, k, place, *x, kind, **period) for x in zip(n, z, y, strict=True)])
-    return [Run(RATE, loops, pair) for pair in zip(*made, strict=True)]
+    return [ls.Run(RATE, loops, pair) for pair in zip(*made, strict=True)]
 
 
 def white(seed, records, size):

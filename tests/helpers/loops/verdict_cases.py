@@ -2,19 +2,18 @@
 
 from dataclasses import replace
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import LIMITS, Margins
-from loopshape.data.result.baseline import Checked
-from loopshape.data.result.verdict import Line, Verdict
+from bench_nouns import LIMITS, Block, Checked, Line
 
-CONTROLLER = Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
+import loopshape as ls
+
+CONTROLLER = ls.Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
 OTHER = replace(CONTROLLER, blocks=(Block("gain", {"gain": 1 / 3}),))
 VALUES = {limit.name: 10.0 + k for k, limit in enumerate(LIMITS)}
 
 
 def margins(values=None, intervals=None, stable="stable", reason="", band_hz=None):
     """Margins with `values` in place of 10, 11, ... in the order of LIMITS."""
-    return Margins(
+    return ls.Margins(
         **VALUES | (values or {}), crossings_hz=(3.0,), phase_crossings_hz=(), at_hz={"modulus_margin": 3.0},
         stable=stable, stability_reason=reason, intervals=intervals or {}, stability_band_hz=band_hz,
     )  # fmt: skip
@@ -34,5 +33,5 @@ def line(quantity="phase_margin_deg", outcome="passed", wished=30.0, found=40.0,
 
 def checked(points, lines=(), loop="axis", controller=CONTROLLER, data="a", warnings=()):
     """A verdict on the margins of `points` by recording; equal `data` are the same FRFs."""
-    verdict = Verdict(loop, tuple(lines), points, tuple(warnings))
+    verdict = ls.Verdict(loop, tuple(lines), points, tuple(warnings))
     return Checked(verdict, replace(controller, loop=loop), {name: f"{data}-{name}" for name in points})

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 
 
 def any_frf(rng, ny, nu, *, f=None, error=0.01, outputs=None, inputs=None, recording="", size=1.0, **words):
@@ -11,7 +11,7 @@ def any_frf(rng, ny, nu, *, f=None, error=0.01, outputs=None, inputs=None, recor
     G = size * (rng.standard_normal((f.size, ny, nu)) + 1j * rng.standard_normal((f.size, ny, nu)))
     root = rng.standard_normal((f.size, ny * nu, ny * nu)) + 1j * rng.standard_normal((f.size, ny * nu, ny * nu))
     C = (error * size) ** 2 * root @ root.conj().transpose(0, 2, 1)
-    return FRF(
+    return ls.FRF(
         f, G, C, np.arange(f.size) > 0,
         tuple(inputs or (f"u{k}" for k in range(nu))), tuple(outputs or (f"y{k}" for k in range(ny))),
         "made up", recording, **words,

@@ -1,9 +1,9 @@
 """Matrix FRFs for the tests of interaction: two or more loops with known elements and a known covariance."""
 
 import numpy as np
+from conversions import from_db
 
-from loopshape.core.units import from_db
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 
 F = np.arange(1, 81) * 0.1  # 0.1 to 8 Hz
 
@@ -31,7 +31,7 @@ def matrix_frf(response, covariance=None, f=F, *, error=0.0, seed=None, loop="th
         "loop": loop,
         "rate_hz": 1000.0,
     } | words
-    return FRF(frequency_hz=f, response=G, covariance=C, **given)
+    return ls.FRF(frequency_hz=f, response=G, covariance=C, **given)
 
 
 def errors(rng, covariance):

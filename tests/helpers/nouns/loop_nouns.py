@@ -5,15 +5,11 @@ from functools import cache
 
 import numpy as np
 import picture_nouns as nouns
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.result.verdict import Verdict
-from loopshape.loop.verdict import check, loops_of
+import loopshape as ls
+from loopshape.loop.verdict import loops_of
 
 RATE = 1000.0
 #: the operating point whose gain is so large that the check fails there
@@ -28,24 +24,24 @@ def plant() -> TransferFunction:
 
 def noisy(
     truth: TransferFunction, noise: float = 0.1, floor: float = 0.0, seed: int = 1, f: np.ndarray | None = None
-) -> FRF:
+) -> ls.FRF:
     """Lines with circular noise: a share of each and a floor."""
     f = np.geomspace(0.1, 60.0, 400) if f is None else f
     rng = np.random.default_rng(seed)
     response = truth.response(f)
     variance = (noise * np.abs(response)) ** 2 + floor**2
     error = np.sqrt(0.5 * variance) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
-    return FRF(
+    return ls.FRF(
         f, (response + error)[:, None, None], variance[:, None, None] + 0j, np.ones(f.size, dtype=bool), ("z_v",),
         ("y_rad",), "made up", recording="noisy", loop="axis", rate_hz=RATE,
     )  # fmt: skip
 
 
-def gain(value: float = 1.0) -> Controller:
-    return Controller("axis", (Block("gain", {"gain": value}),), RATE)
+def gain(value: float = 1.0) -> ls.Controller:
+    return ls.Controller("axis", (Block("gain", {"gain": value}),), RATE)
 
 
-def wished(**changes: object) -> Requirements:
+def wished(**changes: object) -> ls.Requirements:
     given: dict[str, object] = {
         "loop": "axis",
         "integrators": 1,
@@ -53,19 +49,19 @@ def wished(**changes: object) -> Requirements:
         "sensitivity_peak_db": 6.0,
         "phase_margin_deg": 30.0,
     }
-    return Requirements(**(given | changes))  # type: ignore[arg-type]
+    return ls.Requirements(**(given | changes))  # type: ignore[arg-type]
 
 
-def checked(frf: FRF, controller: Controller, requirements: Requirements) -> tuple[Loop, Verdict]:
+def checked(frf: ls.FRF, controller: ls.Controller, requirements: ls.Requirements) -> tuple[Loop, ls.Verdict]:
     (loop,), _ = loops_of([frf], controller, requirements)
-    return loop, check([frf], controller, requirements)
+    return loop, ls.check([frf], controller, requirements)
 
 
 @cache
-def arm() -> tuple[list[Loop], Requirements, Verdict]:
+def arm() -> tuple[list[Loop], ls.Requirements, ls.Verdict]:
     """24 operating points of picture_nouns with 10 % noise, and what a check says: some passed, failed, undecided."""
     frfs = [nouns.frf(*point, noise=0.1) for point in nouns.POINTS]
     frfs[STRONG] = replace(frfs[STRONG], response=3.0 * frfs[STRONG].response, covariance=9.0 * frfs[STRONG].covariance)
     requirements = replace(nouns.requirements(), integrators=1, unstable_poles=0)
     loops, _ = loops_of(frfs, nouns.controller(), requirements)
-    return loops, requirements, check(frfs, nouns.controller(), requirements)
+    return loops, requirements, ls.check(frfs, nouns.controller(), requirements)

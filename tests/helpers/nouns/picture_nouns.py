@@ -3,16 +3,10 @@
 from collections.abc import Sequence
 
 import numpy as np
+from bench_nouns import Block, Estimate, Line, Loop, LoopSetup, RecordingInfo, TransferFunction
+from conversions import TWO_PI, rad
 
-from loopshape.core.units import TWO_PI, rad
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Margins, Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import Estimate, Fit, TransferFunction
-from loopshape.data.result.verdict import Line, Verdict
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 
 POINTS = (
     *((theta, p) for p in (0.8, 1.0, 1.2, 1.4) for theta in (-30.0, -15.0, 0.0, 15.0, 30.0)),
@@ -33,7 +27,9 @@ def model(theta2_deg: float, p_ab_bar: float) -> TransferFunction:
     return TransferFunction(np.array([kappa]), np.array([1.0, 2.0 * zeta * w, w * w, 0.0]))
 
 
-def frf(theta2_deg: float = 0.0, p_ab_bar: float = 1.0, seed: int = 0, noise: float = 0.02, **changes: object) -> FRF:
+def frf(
+    theta2_deg: float = 0.0, p_ab_bar: float = 1.0, seed: int = 0, noise: float = 0.02, **changes: object
+) -> ls.FRF:
     rng = np.random.default_rng(seed + round(100 * p_ab_bar + theta2_deg))
     f = np.arange(0.05, 60.0, 0.05)
     truth = model(theta2_deg, p_ab_bar).response(f)
@@ -59,13 +55,13 @@ def frf(theta2_deg: float = 0.0, p_ab_bar: float = 1.0, seed: int = 0, noise: fl
         "output_power": np.abs(response) ** 2 * input_power / coherence,
         "cross_power": response * input_power,
     }
-    return FRF(**(given | changes))  # type: ignore[arg-type]
+    return ls.FRF(**(given | changes))  # type: ignore[arg-type]
 
 
-def fit(theta2_deg: float = 0.0, p_ab_bar: float = 1.0, outcome: str = "converged") -> Fit:
+def fit(theta2_deg: float = 0.0, p_ab_bar: float = 1.0, outcome: str = "converged") -> ls.Fit:
     kappa, f_hz, zeta = plant_numbers(theta2_deg, p_ab_bar)
     values = (("kappa", kappa, "rad/(V s3)", 18.0), ("f_hz", f_hz, "Hz", 0.02), ("zeta", zeta, "1", 0.004))
-    return Fit(
+    return ls.Fit(
         structure="third_order",
         model=model(theta2_deg, p_ab_bar),
         parameters=tuple(Estimate(*v) for v in values),
@@ -83,17 +79,17 @@ def fit(theta2_deg: float = 0.0, p_ab_bar: float = 1.0, outcome: str = "converge
     )
 
 
-def controller(gain: float = 11.0) -> Controller:
+def controller(gain: float = 11.0) -> ls.Controller:
     blocks = (
         Block("gain", {"gain": gain}),
         Block("lead_lag", {"f1_hz": 2.2, "f2_hz": 18.0}),
         Block("notch", {"f1_hz": 4.5, "f2_hz": 4.5, "damping1": 0.05, "damping2": 5.0}),
         Block("low_pass_2", {"f_hz": 19.0, "damping": 0.55}),
     )
-    return Controller("theta2", blocks, 1000.0)
+    return ls.Controller("theta2", blocks, 1000.0)
 
 
-def requirements(**changes: object) -> Requirements:
+def requirements(**changes: object) -> ls.Requirements:
     given: dict[str, object] = {
         "loop": "theta2",
         "gain_margin_db": 6.0,
@@ -105,14 +101,14 @@ def requirements(**changes: object) -> Requirements:
         "control_high_frequency_from_hz": 30.0,
         "bandwidth_hz": 1.0,
     }
-    return Requirements(**(given | changes))  # type: ignore[arg-type]
+    return ls.Requirements(**(given | changes))  # type: ignore[arg-type]
 
 
-def frfs() -> list[FRF]:
+def frfs() -> list[ls.FRF]:
     return [frf(*point) for point in POINTS]
 
 
-def fits() -> list[Fit]:
+def fits() -> list[ls.Fit]:
     return [fit(*point) for point in POINTS]
 
 
@@ -121,9 +117,9 @@ def loops() -> list[Loop]:
     return [Loop(plant, one, integrators=1, unstable_poles=0) for plant in frfs()]
 
 
-def margins(k: int = 0, stable: str = "stable") -> Margins:
+def margins(k: int = 0, stable: str = "stable") -> ls.Margins:
     """Margins as `check` would give them; the numbers are made up."""
-    return Margins(
+    return ls.Margins(
         gain_margin_db=8.0 + 4.0 * np.sin(k),
         gain_reduction_margin_db=float("inf"),
         phase_margin_deg=40.0 + 9.0 * np.cos(1.7 * k),
@@ -142,7 +138,7 @@ def margins(k: int = 0, stable: str = "stable") -> Margins:
     )
 
 
-def verdict() -> Verdict:
+def verdict() -> ls.Verdict:
     found = {f"r{k + 1:02d}": margins(k, "undecided" if k == 7 else "stable") for k in range(24)}
     lines = tuple(
         Line(name, unit, wished, 0.0, 0.0, "passed", "r01", None)
@@ -154,7 +150,7 @@ def verdict() -> Verdict:
             ("bandwidth_hz", "Hz", 1.2),
         )
     )
-    return Verdict("theta2", lines, found)
+    return ls.Verdict("theta2", lines, found)
 
 
 def loop_setups() -> Sequence[LoopSetup]:
@@ -164,7 +160,7 @@ def loop_setups() -> Sequence[LoopSetup]:
     )
 
 
-def recording(seconds: float = 20.0, rate_hz: float = 1000.0) -> Recording:
+def recording(seconds: float = 20.0, rate_hz: float = 1000.0) -> ls.Recording:
     t = np.arange(int(seconds * rate_hz)) / rate_hz
     rng = np.random.default_rng(3)
     setpoint = rad(15.0) * np.sign(np.sin(TWO_PI * t / 10.0))
@@ -189,4 +185,4 @@ def recording(seconds: float = 20.0, rate_hz: float = 1000.0) -> Recording:
         "p_capacity_bar": 3.0 + 0.05 * np.cos(t),
     }
     info = RecordingInfo("r03.parquet", "profile", "reference", operating_point={"theta2_deg": 0.0, "p_ab_bar": 1.0})
-    return Recording(info, rate_hz, columns)
+    return ls.Recording(info, rate_hz, columns)

@@ -4,20 +4,19 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
+from bench_nouns import Follows, LoopSetup
 from python_target import Board, Target
 from python_target_machine import Axes
 
+import loopshape as ls
 from loopshape.cli.output import Output
 from loopshape.core.kernels import scheduled
 from loopshape.core.kernels.noise import start_state
-from loopshape.data.control.gain_scheduled import Follows
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.io.run.run_folder import read_run
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment as experiment_of
 from loopshape.toolbox.rig.simulated import plan
-from loopshape.toolbox.rig.verbs.machine import ended_early, measure
+from loopshape.toolbox.rig.verbs.machine import ended_early
 
 RATE_HZ = 1000.0
 LOOP = """
@@ -105,7 +104,7 @@ def target(count: int = 1, coupling: float = 0.1, **board: object) -> Target:
 
 def measured(study: Path, out: Path, port: str, *, arm: bool = True) -> list[str]:
     """`loopshape measure` without its FRFs: what ended early."""
-    return ended_early(measure(study, out, port=port, arm=arm, watch=Output(quiet=True)))
+    return ended_early(ls.rig.measure(study, out, port=port, arm=arm, watch=Output(quiet=True)))
 
 
 def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> dict[str, np.ndarray]:
@@ -165,7 +164,7 @@ def section(b0: float, b1: float, b2: float, a1: float, a2: float, w: list[float
 
 def table(run: Path, name: str, injection: str = "controller_input", count: int = 1) -> dict[str, np.ndarray]:
     """A recording's columns under the names of `simulated`."""
-    columns = read_run(run).recording(name).columns
+    columns = ls.read(run).recording(name).columns
     unit = "v" if injection == "plant_input" else "rad"
     names = {"r": "r_axis{}_rad", "n": f"n_axis{{}}_{unit}", "z": "z{}_v", "s": "angle{}_rad", "u": "drive{}_v"}
     return {f"{k}{i}": np.asarray(columns[name.format(i)]) for k, name in names.items() for i in range(1, count + 1)}

@@ -7,9 +7,9 @@ from math import inf
 
 import numpy as np
 import pytest
+from simulated_machines import plant_file
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.toolbox.arm.emulated import plant_file
+import loopshape as ls
 from loopshape.toolbox.rig.emulator import Emulator, compiler, emulated
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.target.link import open_link
@@ -48,7 +48,7 @@ def needs_a_compiler():
     """Skip where there is none."""
     try:
         compiler()
-    except LoopshapeError as error:
+    except ls.LoopshapeError as error:
         pytest.skip(str(error))
 
 

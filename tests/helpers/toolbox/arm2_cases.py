@@ -1,13 +1,11 @@
 """What the tests of the 2-DoF arm share: the plant, experiments on it, and its bare kernel."""
 
 import numpy as np
+from bench_nouns import Experiment
+from simulated_machines import ARM2_PARAMETERS, Arm2, Sensors, constants2
 
-from loopshape.data.signal.experiment import Experiment
-from loopshape.toolbox.arm.arm2 import Arm2
 from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
 from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROL, plain_wiring
-from loopshape.toolbox.arm.parameters import Sensors
-from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
 
 ARM = Arm2()
 MIDDLE = (0.0, 0.0, 0.4, 0.4)  # deg, deg, bar, bar

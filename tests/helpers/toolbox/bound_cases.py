@@ -1,13 +1,10 @@
 """Loops on known plants, for the tests of bounds and schedules."""
 
 import numpy as np
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import db
 
-from loopshape.core.units import db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.toolbox.limits.bound_nodes import nodes
 
 RATE = 2000.0
@@ -16,7 +13,7 @@ RATE = 2000.0
 def frf_of(model, name="one", low_hz=0.05, high_hz=100.0, lines=300):
     """A FRF without noise of anything with a `response`."""
     f = np.geomspace(low_hz, high_hz, lines)
-    return FRF(
+    return ls.FRF(
         frequency_hz=f,
         response=np.asarray(model.response(f))[:, None, None],
         covariance=np.full((lines, 1, 1), 1e-20 + 0j),
@@ -31,7 +28,7 @@ def frf_of(model, name="one", low_hz=0.05, high_hz=100.0, lines=300):
 
 
 def gain(value=1.0):
-    return Controller("one", (Block("gain", {"gain": value}),), RATE)
+    return ls.Controller("one", (Block("gain", {"gain": value}),), RATE)
 
 
 def loop_of(model, controller=None, integrators=0, unstable_poles=0, **lines):
@@ -40,7 +37,7 @@ def loop_of(model, controller=None, integrators=0, unstable_poles=0, **lines):
 
 
 def limits(**given):
-    return Requirements.from_table({"name": "one"} | given)
+    return ls.Requirements.from_table({"name": "one"} | given)
 
 
 def own_limits(loops, slack_db=1e-3):

@@ -5,11 +5,10 @@ controller a PD of the test's own; nothing of the package takes part.
 """
 
 import numpy as np
+from bench_nouns import RecordingInfo
 from scipy.integrate import solve_ivp
 
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
+import loopshape as ls
 
 RATE_HZ, SECONDS = 500.0, 8
 INERTIA, DAMPING, SPRING, WEIGHT = 0.020, 0.05, 0.8, 0.30
@@ -22,20 +21,20 @@ def motion(t, x, u, p):
     return x[1], torque / (p.inertia + 0.03 * p.load)
 
 
-MODEL = Model(
+MODEL = ls.gap.Model(
     "winch",
     motion,
     ("angle", "speed"),
     (
-        ModelParameter("inertia", INERTIA, "kg m2", 0.03, "none"),
-        ModelParameter("damping", DAMPING, "N m s/rad", 0.10, "none"),
-        ModelParameter("spring", SPRING, "N m/rad", 0.03, "none"),
-        ModelParameter("weight", WEIGHT, "N m", 0.03, "none"),
-        ModelParameter("load", 0.0, "kg", effect="payload@lever", range=(0.0, 1.0)),
+        ls.gap.ModelParameter("inertia", INERTIA, "kg m2", 0.03, "none"),
+        ls.gap.ModelParameter("damping", DAMPING, "N m s/rad", 0.10, "none"),
+        ls.gap.ModelParameter("spring", SPRING, "N m/rad", 0.03, "none"),
+        ls.gap.ModelParameter("weight", WEIGHT, "N m", 0.03, "none"),
+        ls.gap.ModelParameter("load", 0.0, "kg", effect="payload@lever", range=(0.0, 1.0)),
     ),
-    (Input("drum", "torque_nm", unit="N m"),),
-    (Output("encoder", "angle", "lever_rad", unit="rad"),),
-    (Port("bearing", "drum", "angle", "speed", unit="N m"),),
+    (ls.gap.Input("drum", "torque_nm", unit="N m"),),
+    (ls.gap.Output("encoder", "angle", "lever_rad", unit="rad"),),
+    (ls.gap.Port("bearing", "drum", "angle", "speed", unit="N m"),),
     window_s=0.8,
 )
 
@@ -75,10 +74,10 @@ def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, held=0.0, inertia=INE
         torque[i] = 4.0 * (r[i] - read[i]) - 0.15 * speed
         state = solve_ivp(slope, (0, 1 / RATE_HZ), state, "LSODA", args=(torque[i],), rtol=1e-7, atol=1e-9).y[:, -1]
     info = RecordingInfo(f"r{k}.parquet", "noise", "reference", role=role, operating_point={"lever_rad": 0.1 * k})
-    return Recording(info, RATE_HZ, {"torque_nm": torque, "lever_rad": read})
+    return ls.Recording(info, RATE_HZ, {"torque_nm": torque, "lever_rad": read})
 
 
 def run_of(count=3, levels=(0.0,), **effect):
     """Recordings for estimation, and one of validation, held off by one of the levels after the other."""
     own = [recorded(k, held=levels[k % len(levels)], **effect) for k in range(count)]
-    return Run(RATE_HZ, (), (*own, recorded(9, held=levels[-1], role="validation", **effect)))
+    return ls.Run(RATE_HZ, (), (*own, recorded(9, held=levels[-1], role="validation", **effect)))

@@ -5,14 +5,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
+from bench_nouns import Multisine, Staircase, Sweep
+from simulated_machines import FORMS, Arm1, ExperimentTemplate, header, measure
 
+import loopshape as ls
 from loopshape.cli.main import run as command
-from loopshape.data.signal.excitation import Multisine, Staircase, Sweep
-from loopshape.data.signal.run import Run
-from loopshape.toolbox.arm.arm1 import Arm1
-from loopshape.toolbox.arm.effect.effects import FORMS
-from loopshape.toolbox.rig.simulated import header, measure
-from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 MIDDLE, SIDE, OTHER = ({"theta2_deg": a, "p_ab_bar": p} for a, p in ((0.0, 1.0), (20.0, 1.0), (10.0, 1.2)))
 KNOWN = ("payload", "joint_friction", "angle_sensor_lag")
@@ -40,7 +37,7 @@ def _steps(name: str, role: str, point: Mapping[str, float], size: float) -> Exp
     )
 
 
-STUDY = Study(
+STUDY = ls.rig.Study(
     "simulated",
     "arm-1dof",
     (
@@ -59,7 +56,7 @@ STUDY = Study(
 )  # fmt: skip
 
 
-def recorded(effect: Mapping[str, float] = PAYLOAD) -> Run:
+def recorded(effect: Mapping[str, float] = PAYLOAD) -> ls.Run:
     """The run of an arm with an effect that its run.toml does not tell."""
     plant = Arm1()
     return replace(header(STUDY, plant), recordings=tuple(measure(replace(STUDY, changes=effect), plant, threads=1)))

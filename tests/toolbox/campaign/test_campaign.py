@@ -11,13 +11,11 @@ import warnings
 from pathlib import Path
 
 import pytest
+from run_files import verify
+from simulated_machines import Arm1
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError, RigError
 from loopshape.io.run.replacing import replace_run
-from loopshape.io.run.run_folder import read_run
-from loopshape.io.run.verify import verify
-from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.campaign.files import read_campaign
 from loopshape.toolbox.campaign.machines import Part
 from loopshape.toolbox.rig.effects import asked
@@ -82,7 +80,7 @@ def test_every_machine_has_its_run_and_a_line_of_the_table(alone):
         lines = list(csv.DictReader(file))
     assert len(lines) == 2 * 2 * 2
     for line in lines:
-        run = read_run(alone / line["machine"])
+        run = ls.read(alone / line["machine"])
         assert len(run.recordings) == 2
         assert "parameters" not in run.extra  # what was drawn stands in the table alone
     assert len({line["m2_kg"] for line in lines}) == 2  # a draw is one machine under all amplitudes and effects
@@ -90,12 +88,12 @@ def test_every_machine_has_its_run_and_a_line_of_the_table(alone):
 
 
 def test_amplitudes_scale_what_is_injected(alone):
-    half, whole = (read_run(alone / f"d000000-x{x}").recordings[0].column("n_theta2_rad") for x in ("0.5", "1"))
+    half, whole = (ls.read(alone / f"d000000-x{x}").recordings[0].column("n_theta2_rad") for x in ("0.5", "1"))
     assert (2.0 * half == whole).all()
 
 
 def test_noise_differs_from_machine_to_machine(alone):
-    one, other = (read_run(alone / f"d00000{k}-x1").recordings[0].column("p_a_bar")[:5] for k in (0, 1))
+    one, other = (ls.read(alone / f"d00000{k}-x1").recordings[0].column("p_a_bar")[:5] for k in (0, 1))
     assert (one != other).any()
 
 
@@ -115,7 +113,7 @@ def test_a_campaign_that_was_killed_goes_on_to_the_same_result(campaign, alone):
     process.communicate()
     before = {path: path.stat().st_mtime_ns for path in out.rglob("*.parquet") if not path.name.startswith(".")}
     runs = [toml.parent for toml in out.glob("*/run.toml")]
-    listed = [run / recording.info.file for run in runs for recording in read_run(run).recordings]
+    listed = [run / recording.info.file for run in runs for recording in ls.read(run).recordings]
     subprocess.run(command(campaign, out, "--workers", "1"), check=True, capture_output=True)
     assert content(out) == content(alone)
     assert all(path.stat().st_mtime_ns == before[path] for path in listed)  # what was finished was not made again
@@ -145,7 +143,7 @@ def test_a_worker_that_is_killed_loses_its_own_unfinished_table_alone(campaign, 
 def test_a_recording_that_ends_every_worker_ends_in_a_sentence(campaign):
     from loopshape.toolbox.campaign.many import carried_out
 
-    with pytest.raises(RigError, match="a worker process ended unasked"):
+    with pytest.raises(ls.errors.RigError, match="a worker process ended unasked"):
         list(carried_out(os._exit, [7], 1))
 
 
@@ -205,11 +203,11 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, 
 def test_a_run_is_not_replaced_while_its_campaign_records(campaign, alone):
     """The campaign's hold is on its folder; that of the machine comes and goes with each table."""
     before, machine = content(alone), next(path for path in sorted(alone.iterdir()) if path.is_dir())
-    run = read_run(machine)
+    run = ls.read(machine)
     handle = os.open(alone, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)  # as another process holds it
-        with pytest.raises(LoopshapeError, match="another process is writing this run"):
+        with pytest.raises(ls.LoopshapeError, match="another process is writing this run"):
             replace_run(machine, run)
     finally:
         os.close(handle)
@@ -237,7 +235,7 @@ def read(campaign, *changes):
     ],
 )
 def test_a_campaign_that_cannot_be_is_refused(campaign, old, new, sentence):
-    with pytest.raises(LoopshapeError, match=sentence):
+    with pytest.raises(ls.LoopshapeError, match=sentence):
         read(campaign, (old, new))
 
 
@@ -253,7 +251,7 @@ def test_a_cluster_that_is_not_there_is_said():
     from loopshape.toolbox.campaign.many import carried_out
 
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
-    with pytest.raises(RigError, match="no cluster answers there"):
+    with pytest.raises(ls.errors.RigError, match="no cluster answers there"):
         list(carried_out(print, [], cluster="tcp://127.0.0.1:9"))
 
 

@@ -8,9 +8,9 @@ import time
 import warnings
 
 import pytest
+from run_files import verify
 
-from loopshape.io.run.run_folder import read_run
-from loopshape.io.run.verify import verify
+import loopshape as ls
 from loopshape.toolbox.campaign.cluster import BATCH_S, _next_count
 
 POINTS = ", ".join(f"{{ theta2_deg = {k / 5 - 10:g}, p_ab_bar = 1.0 }}" for k in range(100))
@@ -53,7 +53,7 @@ def test_none_of_them_is_lost_with_a_worker(tmp_path):
             os.kill(next(iter(cluster.workers.values())).pid, signal.SIGKILL)
             _, said = process.communicate(timeout=1500)
     assert process.returncode == 0, said.decode()
-    runs = [read_run(toml.parent) for toml in out.glob("*/run.toml")]
+    runs = [ls.read(toml.parent) for toml in out.glob("*/run.toml")]
     assert [len(run.recordings) for run in runs] == [100] * 100
     assert not list(out.rglob(".*"))
     assert all(finding.sound is not False for finding in verify(out / "d000050-x1"))

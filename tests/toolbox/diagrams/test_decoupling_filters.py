@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 
 RATE = 1000.0
 F_HZ = np.geomspace(0.2, 60.0, 120)
@@ -162,15 +161,15 @@ def test_loops_that_do_not_meet_one_way_get_a_filter_of_zero():
 
 
 def test_what_cannot_be_fitted_is_refused():
-    with pytest.raises(WrongUseError, match="order 1 to 8"):
+    with pytest.raises(ls.errors.WrongUseError, match="order 1 to 8"):
         ls.diagrams.decouple(plant(), BAND, order=9)
-    with pytest.raises(WrongUseError, match="too few valid frequencies"):
+    with pytest.raises(ls.errors.WrongUseError, match="too few valid frequencies"):
         ls.diagrams.decouple(plant(), 1.0, order=1)
-    with pytest.raises(WrongUseError, match="at the rate of its plant"):
+    with pytest.raises(ls.errors.WrongUseError, match="at the rate of its plant"):
         ls.diagrams.decouple(replace(plant(), rate_hz=0.0), BAND, order=1)
-    with pytest.raises(WrongUseError, match=r"below 0\.45 of the rate"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"below 0\.45 of the rate"):
         ls.diagrams.decouple(replace(plant(), rate_hz=60.0), BAND, order=1)
     W = ls.diagrams.decouple(plant(), BAND, order=1)
-    with pytest.raises(WrongUseError, match="not among those decoupled"):
+    with pytest.raises(ls.errors.WrongUseError, match="not among those decoupled"):
         ls.diagrams.decoupled(plant(), W, tuned="c")
     assert set(json.loads(json.dumps(W.to_dict()))) == {"loops", "filters", "frequency_hz", "std", "left", "band_hz"}

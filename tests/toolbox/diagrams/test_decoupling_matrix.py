@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 
 F_HZ = np.geomspace(0.5, 20.0, 40)
 W12, W21 = -0.4, 0.1
@@ -53,5 +52,5 @@ def test_the_plant_behind_it_has_its_covariance():
 
 
 def test_a_band_without_a_valid_frequency_is_refused():
-    with pytest.raises(WrongUseError, match="no valid frequency"):
+    with pytest.raises(ls.errors.WrongUseError, match="no valid frequency"):
         ls.diagrams.decouple(plant(), at_hz=(30.0, 40.0))

@@ -9,14 +9,11 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from bench_nouns import Line, LoopSetup
 from commands import loopshape
+from run_files import gather, write_frfs
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.result.verdict import Line
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.io.run.gathered import gather
-from loopshape.io.write.frfs import write_frfs
 from loopshape.toolbox.diagrams.files import read_diagram
 from loopshape.toolbox.rig.target.blocks import blocks
 
@@ -140,7 +137,7 @@ def decoupled_by_filters(C: ls.Controller) -> tuple[ls.diagrams.Diagram, dict[st
 def test_a_diagram_still_to_be_tuned_is_not_exported(tmp_path: Path) -> None:
     P = ls.FRF.from_control(MODELS["P1"], F)
     D = ls.diagrams.prefilter(P, ls.controller(ls.gain(1.0), rate_hz=RATE))
-    with pytest.raises(WrongUseError, match="no controller yet"):
+    with pytest.raises(ls.errors.WrongUseError, match="no controller yet"):
         ls.formats.export(D, tmp_path, "c")
 
 

@@ -3,10 +3,9 @@
 import control
 import numpy as np
 import pytest
+from conversions import angular
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import angular
 
 SLOW = 1000.0
 
@@ -52,7 +51,7 @@ def test_the_error_of_a_folded_plant_is_that_of_draws():
 def test_a_plant_that_does_not_reach_the_images_and_other_rates_are_refused():
     f = np.geomspace(1.0, 400.0, 50)
     P = ls.FRF.from_arrays(f, 1.0 / (1.0 + 1j * f), relative_std=0.01, rate_hz=2000.0)
-    with pytest.raises(WrongUseError, match="measured up to half"):
+    with pytest.raises(ls.errors.WrongUseError, match="measured up to half"):
         ls.diagrams.multirate(P, ls.controller(ls.gain(1.0), rate_hz=2000.0), SLOW)
-    with pytest.raises(WrongUseError, match="whole multiple"):
+    with pytest.raises(ls.errors.WrongUseError, match="whole multiple"):
         ls.diagrams.multirate(P, ls.controller(ls.gain(1.0), rate_hz=1500.0), SLOW)

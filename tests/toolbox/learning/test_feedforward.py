@@ -5,20 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Experiment, Profile
+from commands import invoked
+from run_files import write_frfs
 from scipy.signal import lfilter
 from scipy.stats import binom
-from typer.testing import CliRunner
+from simulated_machines import Arm1
 
 import loopshape as ls
-from loopshape.cli.main import app
-from loopshape.core.errors import WrongUseError
-from loopshape.data.result.verdict import Outcome
-from loopshape.data.signal.excitation import Profile
-from loopshape.data.signal.experiment import Experiment
-from loopshape.io.run.run_folder import write_run
-from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.frfs import write_frfs
-from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.learning.verbs import setpoint_of
 
 RATE = 500.0
@@ -105,25 +99,25 @@ def test_without_feedforward_the_interval_covers_the_error():
 
 
 def test_what_cannot_be_inverted_is_refused():
-    with pytest.raises(WrongUseError, match="four frequencies"):
+    with pytest.raises(ls.errors.WrongUseError, match="four frequencies"):
         ls.learning.feedforward(measured(), band_hz=(1.0, 1.05))
-    with pytest.raises(WrongUseError, match="hold its preview"):
+    with pytest.raises(ls.errors.WrongUseError, match="hold its preview"):
         ls.learning.feedforward(measured(), taps=10, preview=10)
     F = ls.learning.feedforward(measured(), band_hz=(0.1, 20.0))
-    with pytest.raises(WrongUseError, match="one rate"):
+    with pytest.raises(ls.errors.WrongUseError, match="one rate"):
         ls.learning.tracking_error(measured(), ls.controller(ls.gain(1.0), rate_hz=1000.0), R, F)
 
 
 @pytest.mark.long
 def test_the_command_writes_taps_and_predicts_a_move(tmp_path):
     run = ls.Run.from_arrays(u=np.ones(100), y=np.ones(100), rate_hz=RATE, loop="axis", recording="r1")
-    write_run(tmp_path / "run", run)
+    ls.write(run, tmp_path / "run")
     P = measured(np.random.default_rng(2))
     write_frfs(tmp_path / "run", [replace(P, recording="r1")])
-    write_controllers(tmp_path / "c.toml", [C])
+    ls.write(C, tmp_path / "c.toml")
     words = ["feedforward", tmp_path / "run", "--out", tmp_path / "f.json", "--band-hz", 0.1, 20, "--json"]
     words += ["--controller", tmp_path / "c.toml", "--move", 1, 1, 4, 40]
-    done = CliRunner().invoke(app, [str(w) for w in words])
+    done = invoked(words)
     told = json.loads(done.stdout)
     assert told["errors"]["with feedforward"]["rms"] < 0.1 * told["errors"]["without"]["rms"]
     assert json.loads((tmp_path / "f.json").read_text())["taps"] == told["taps"]
@@ -133,7 +127,7 @@ def test_the_command_writes_taps_and_predicts_a_move(tmp_path):
 def test_trials_shrink_as_the_convergence_factor_says():
     """The change of the input from trial to trial shrinks at each frequency as |Q S (1 - P F)| says."""
     L = ls.learning(measured(relative=1e-4), C, band_hz=(0.1, 12.0), taps=20, integrators=1)
-    assert L.converges is Outcome.PASSED
+    assert L.converges is ls.Outcome.PASSED
     k = np.arange(12_000)
     for hz in (2.0, 6.0, 11.0):
         r = np.sin(2.0 * np.pi * hz * k / RATE) * np.hanning(k.size) ** 4
@@ -200,7 +194,7 @@ def test_the_simulated_arm_follows_a_profile_with_a_fifth_of_the_error(arm):
 def test_the_simulated_arm_learns_the_profile_in_three_trials(arm):
     arm, controllers, P = arm
     L = ls.learning(P, controllers[0], band_hz=(0.05, 5.0), integrators=1)
-    assert L.converges is Outcome.PASSED
+    assert L.converges is ls.Outcome.PASSED
     u, errors = np.zeros(MOVE.size), []
     for _ in range(4):
         e, z = moved(arm, controllers, u)

@@ -4,13 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.result.verdict import Outcome
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import RecordingInfo
 from loopshape.toolbox.learning.verbs import setpoint_of
 
 RATE = 500.0
@@ -58,7 +55,7 @@ def test_the_next_trial_s_error_is_the_one_expected():
     """Six taps, which do not converge: each rms within 3 % of what the trial before let expect, also where it grows
     again; it fell by 700 before."""
     L, u, found, expected = learning(6), np.zeros(R.size), [], []
-    assert L.converges is Outcome.FAILED
+    assert L.converges is ls.Outcome.FAILED
     for _ in range(6):
         recorded = played(u)
         trial = ls.learning.next_trial(L, run_of(recorded))
@@ -119,17 +116,17 @@ def test_recordings_that_are_no_trial_are_refused():
         (played(zero, setpoint=2.0 * R, name="b"), "differ in their setpoint"),
         (played(zero[:-5], setpoint=R[:-5], name="b"), "one length"),
     ):
-        with pytest.raises(WrongUseError, match=said):
+        with pytest.raises(ls.errors.WrongUseError, match=said):
             ls.learning.next_trial(L, run_of(first, other))
         assert ls.learning.next_trial(L, run_of(first, other), recordings=["move"]).repetitions == 1
     excited = ls.Recording(replace(first.info, injection="controller_input", excites="axis"), RATE, first.columns)
-    with pytest.raises(WrongUseError, match="with the loop closed"):
+    with pytest.raises(ls.errors.WrongUseError, match="with the loop closed"):
         ls.learning.next_trial(L, run_of(excited))
-    with pytest.raises(WrongUseError, match="with the loop closed"):
+    with pytest.raises(ls.errors.WrongUseError, match="with the loop closed"):
         ls.learning.next_trial(L, replace(run_of(first), loops=(replace(SETUP, reference=None),)))
-    with pytest.raises(WrongUseError, match="rate of its filters"):
+    with pytest.raises(ls.errors.WrongUseError, match="rate of its filters"):
         ls.learning.next_trial(L, run_of(ls.Recording(first.info, 250.0, first.columns)))
-    with pytest.raises(WrongUseError, match="whole number of samples"):
+    with pytest.raises(ls.errors.WrongUseError, match="whole number of samples"):
         ls.learning.next_trial(L, run_of(first), period_s=0.0033)
-    with pytest.raises(WrongUseError, match="without one"):
+    with pytest.raises(ls.errors.WrongUseError, match="without one"):
         ls.learning.next_trial(L, run_of())

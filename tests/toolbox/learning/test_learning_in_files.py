@@ -6,13 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import loopshape
+from simulated_machines import Arm1, plan, read_study
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.io.run.run_folder import read_run
-from loopshape.toolbox.arm.arm1 import Arm1
+import loopshape as ls
 from loopshape.toolbox.learning.files import read_learning
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import plan
 
 PAGE = (Path(__file__).parents[3] / "docs" / "feedforward.md").read_text()
 IDENTIFY, MOVE = (part.split("```")[0] for part in PAGE.split("```toml\n")[1:3])
@@ -60,7 +57,7 @@ def test_the_simulated_arm_learns_a_move_by_files(folder: Path) -> None:
     assert rms[1] < 0.15 * rms[0]
     assert rms[2] < 0.03 * rms[0]
     assert all(0.5 < rms[k + 1] / told[k]["expected_rms"] < 2.0 for k in range(2))
-    played = read_run(folder / "move1").recordings[0]
+    played = ls.read(folder / "move1").recordings[0]
     assert played.info.injection == "plant_input"
     u = np.loadtxt(folder / "next.csv", delimiter=",", skiprows=1)
     assert u.shape == (14_000, 2)
@@ -101,12 +98,12 @@ def test_a_study_refuses_a_feedforward_that_does_not_fit(
     lines = [head, *(f"{k / 1000.0!r},0.1" for k in range(rows))]
     (tmp_path / "next.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "move.toml").write_text(study)
-    with pytest.raises(LoopshapeError, match=said):
+    with pytest.raises(ls.LoopshapeError, match=said):
         plan(read_study(tmp_path / "move.toml"), Arm1())
 
 
 def test_other_files_are_no_filters(tmp_path: Path) -> None:
     for text in ("[]", '{"format": "loopshape-learning/1"}'):
         (tmp_path / "f.json").write_text(text)
-        with pytest.raises(LoopshapeError, match=r"f\.json"):
+        with pytest.raises(ls.LoopshapeError, match=r"f\.json"):
             read_learning(tmp_path / "f.json")

@@ -3,10 +3,9 @@
 import control
 import numpy as np
 import pytest
+from conversions import angular
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import angular
 from loopshape.toolbox.diagrams.diagram_run import states
 
 RATE, N = 1000.0, 200
@@ -85,11 +84,11 @@ def test_where_a_preview_undoes_the_closed_loop_one_period_is_enough():
     ],
 )
 def test_what_cannot_be_learned_is_refused(period_s, q_filter, words, way):
-    with pytest.raises(WrongUseError, match=words) as told:
+    with pytest.raises(ls.errors.WrongUseError, match=words) as told:
         ls.learning.repetitive(measured(PLANT), C, period_s, q_filter)
     assert way in str(told.value)
 
 
 def test_a_preview_lies_within_the_period():
-    with pytest.raises(WrongUseError, match="preview"):
+    with pytest.raises(ls.errors.WrongUseError, match="preview"):
         ls.learning.repetitive(measured(PLANT), C, 0.2, 50.0, preview=190)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import limits, loop_of
+from conversions import TWO_PI, db
 
-from loopshape.core.units import TWO_PI, db
-from loopshape.data.response.model import TransferFunction
 from loopshape.toolbox.limits.bound import excluded
 from loopshape.toolbox.limits.bound_nodes import weights
 from loopshape.toolbox.limits.bound_reach import reach

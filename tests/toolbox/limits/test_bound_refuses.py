@@ -2,35 +2,35 @@
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import frf_of, gain, limits, loop_of
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.toolbox.limits.bound import bound, excluded
 from loopshape.toolbox.schedules.schedule import schedule
 
 
 def test_a_plant_whose_integrators_are_not_known():
     between = TransferFunction([1.0], [1.0, 2.0 * np.pi * 0.05])  # the lowest lines look like half an integrator
-    with pytest.raises(WrongUseError, match="number of integrators"):
+    with pytest.raises(ls.errors.WrongUseError, match="number of integrators"):
         bound([frf_of(between)], gain(), limits(sensitivity_peak_db=6.0))
 
 
 def test_an_unstable_plant_under_a_controller_that_does_not_hold_it():
     model = TransferFunction([1.0], [1.0 / (2.0 * np.pi), -1.0], 0.01)
     loop = loop_of(model, gain(0.5), 0, 1)
-    with pytest.raises(WrongUseError, match="known to stabilise"):
+    with pytest.raises(ls.errors.WrongUseError, match="known to stabilise"):
         excluded(loop, [loop], limits(sensitivity_peak_db=6.0))
 
 
 def test_limits_that_differ_between_operating_points():
     own = [{"where": {"load_kg": [0.0, 1.0]}, "sensitivity_peak_db": 9.0}]
-    with pytest.raises(WrongUseError, match="one operating point alone"):
+    with pytest.raises(ls.errors.WrongUseError, match="one operating point alone"):
         bound([frf_of(TransferFunction([1.0], [1.0, 0.0]))], gain(), limits(sensitivity_peak_db=6.0, at=own))
 
 
 def test_nothing_to_schedule():
-    with pytest.raises(WrongUseError, match="no FRF"):
+    with pytest.raises(ls.errors.WrongUseError, match="no FRF"):
         schedule([], limits(sensitivity_peak_db=6.0), gain())
 
 

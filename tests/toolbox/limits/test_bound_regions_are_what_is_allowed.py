@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import gain, limits, loop_of
+from conversions import TWO_PI, from_db
 
-from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.response.model import TransferFunction
 from loopshape.toolbox.limits.bound_nodes import nodes
 from loopshape.toolbox.limits.bound_regions import regions
 

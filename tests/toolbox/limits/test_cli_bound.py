@@ -4,12 +4,12 @@ import json
 from pathlib import Path
 
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import frf_of, gain
+from run_files import write_frfs
 
+import loopshape as ls
 from loopshape.cli.output import Output
-from loopshape.data.response.model import TransferFunction
-from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.frfs import write_frfs
 from loopshape.toolbox.limits.command import bound_run
 from loopshape.toolbox.schedules.command import schedule_run
 
@@ -32,7 +32,7 @@ def folder(tmp_path_factory):
     plants = [frf_of(TransferFunction([k], [1.0, 0.0], 0.02), f"gain-{k:g}", lines=200) for k in (1.0, 3.0)]
     write_frfs(folder / "run", plants)
     (folder / "req.toml").write_text(REQUIRE)
-    write_controllers(folder / "own.toml", [gain(9.0)], None)
+    ls.write(gain(9.0), folder / "own.toml")
     return folder
 
 

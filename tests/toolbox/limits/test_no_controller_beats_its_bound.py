@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
 from bound_cases import RATE, limits, loop_of, own_limits, random_controller, random_plant
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.toolbox.limits import bound_nodes
 from loopshape.toolbox.limits.bound import excluded
@@ -20,7 +20,7 @@ def stable_loops(rng, plants):
     """Loops of plants under one random controller with the largest gain of some at which all are stable."""
     blocks = random_controller(rng)
     for gain in np.geomspace(100.0, 1.0, 25):
-        controller = Controller("one", (Block("gain", {"gain": gain}), *blocks), RATE)
+        controller = ls.Controller("one", (Block("gain", {"gain": gain}), *blocks), RATE)
         loops = [loop_of(model, controller, k, name=f"p{n}") for n, (model, k) in enumerate(plants)]
         good = all(closed_loop_stability(one).outcome == "stable" for one in loops)
         if good and max(np.abs(1.0 / (1.0 + one.L)).max() for one in loops) < 3.0:
@@ -69,7 +69,7 @@ def test_several_plants_bound_more_than_each_alone():
 def test_an_unstable_plant(gain):
     # 1/(s/a - 1) exp(-s d) is held by a gain above 1; the free parameter is built about that controller
     model = TransferFunction([1.0], [1.0 / (2.0 * np.pi), -1.0], 0.01)
-    controller = Controller("one", (Block("gain", {"gain": gain}),), RATE)
+    controller = ls.Controller("one", (Block("gain", {"gain": gain}),), RATE)
     loop = loop_of(model, controller, 0, 1)
     assert closed_loop_stability(loop).outcome == "stable"
     asked = own_limits([loop])
@@ -80,7 +80,7 @@ def test_an_unstable_plant(gain):
 def test_both_parametrisations_give_one_bound(monkeypatch):
     # the closed loops of a stable plant, with CS itself free or with the parameter about a controller
     model = TransferFunction([2.0], np.polymul([1.0, 1.0], [0.02, 1.0]), 0.01)
-    pi = Controller("one", (Block("gain", {"gain": 1.0}), Block("pi", {"f_hz": 0.1})), RATE)
+    pi = ls.Controller("one", (Block("gain", {"gain": 1.0}), Block("pi", {"f_hz": 0.1})), RATE)
     loop = loop_of(model, pi)
     asked = limits(sensitivity_peak_db=5.0, control_peak_db=8.0)  # both bind
     direct = excluded(loop, [loop], asked).bound_hz

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import frf_of, gain, limits
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.response.model import TransferFunction
 
 MODEL = TransferFunction([3.0], np.polymul([1.0, 0.0], [1 / 900.0, 0.1 / 30.0, 1.0]), 0.01)
 ASKED = {
@@ -27,10 +26,10 @@ def test_a_controller_of_four_poles_passes_the_check_below_the_bound():
 
 
 def test_an_order_below_one_is_refused():
-    with pytest.raises(WrongUseError, match="at least one pole"):
+    with pytest.raises(ls.errors.WrongUseError, match="at least one pole"):
         ls.limits.reach(frf_of(MODEL), gain(), limits(**ASKED), 0)
 
 
 def test_without_a_limit_to_design_for_it_says_so():
-    with pytest.raises(WrongUseError, match="no convex design"):
+    with pytest.raises(ls.errors.WrongUseError, match="no convex design"):
         ls.limits.reach(frf_of(MODEL), gain(), limits(phase_margin_deg=45.0, integrators=1, unstable_poles=0), 4)

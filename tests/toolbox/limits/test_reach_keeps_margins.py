@@ -4,10 +4,10 @@ import itertools
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import limits, loop_of
+from conversions import db
 
-from loopshape.core.units import db
-from loopshape.data.response.model import TransferFunction
 from loopshape.toolbox.limits.bound_nodes import nodes
 from loopshape.toolbox.limits.bound_reach import half_planes, reached_at
 

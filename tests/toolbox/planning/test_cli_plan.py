@@ -8,15 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import invoked
+from simulated_machines import header, measure, read_study
 
-from loopshape.cli.main import app
-from loopshape.core.errors import LoopshapeError
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_realisations
-from loopshape.io.run.run_folder import read_run
 from loopshape.toolbox.rig import registry
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import header, measure
 
 LINES = [round(0.2 * k, 6) for k in range(1, 80, 2) if k % 8 != 7]
 STUDY = f"""
@@ -35,8 +32,8 @@ excitation = {{ kind = "multisine", f_low_hz = 0.1, f_high_hz = 16.0, period_s =
 
 def loopshape(*words):
     """A command in this process: exit code, what it printed, what it warned of (2 and a sentence for an error)."""
-    done = CliRunner().invoke(app, [str(word) for word in words])
-    code = 2 if isinstance(done.exception, LoopshapeError) else done.exit_code  # as `cli.main.run` says it
+    done = invoked(words)
+    code = 2 if isinstance(done.exception, ls.LoopshapeError) else done.exit_code  # as `cli.main.run` says it
     return code, done.stdout, f"{done.stderr}{done.exception or ''}"
 
 
@@ -67,7 +64,7 @@ def test_the_arm_reaches_the_wish_over_its_draws_of_phases(run, tmp_path):
     assert 0.5 < told["crossover_hz"] < 2.0
     assert (run / "figures" / "plan_theta2.png").read_bytes().startswith(b"\x89PNG")
     assert loopshape("measure", told["study"], "--out", tmp_path / "next", "--quiet")[0] == 0
-    assert len(read_run(tmp_path / "next").recordings) == told["realisations"]
+    assert len(ls.read(tmp_path / "next").recordings) == told["realisations"]
     assert loopshape("frf", tmp_path / "next", "--realisations", "--quiet")[0] == 0
     scatter, peaks = achieved(told, 20)
     assert scatter < 1.15 * told["wished_std"]
@@ -135,7 +132,7 @@ def test_wrong_use_is_a_sentence(run, words, sentence):
 
 def test_the_line_of_an_undecided_verdict_is_a_plan_as_it_is(run, tmp_path):
     """|L| has not fallen below 1 where the record ends: what `check` prints is pasted, and its study is measurable."""
-    rate_hz = read_run(run).rate_hz
+    rate_hz = ls.read(run).rate_hz
     (tmp_path / "c.toml").write_text(
         f'format = "loopshape-controllers/1"\nrate_hz = {rate_hz}\n[[loop]]\nname = "theta2"\n'
         'controller = [{ kind = "gain", gain = 1e5 }]\n'

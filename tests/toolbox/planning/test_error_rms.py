@@ -7,20 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
+from commands import invoked
+from run_files import write_frfs
 from scipy.signal import lfilter
 from scipy.stats import binom
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
-from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.data.result.verdict_words import found_text, wished_text
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.disturbance import powers
-from loopshape.io.run.run_folder import write_run
-from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.frfs import write_frfs
 
 RATE, N = 200.0, 8192
 NUM, DEN = np.array([0.0, 0.02]), np.poly([0.98, 0.93 * np.exp(0.5j), 0.93 * np.exp(-0.5j)]).real  # resonance, 16 Hz
@@ -66,7 +61,7 @@ def recorded(rng, value=OLD, name="still"):
     info = RecordingInfo(f"{name}.parquet", "none", "controller_input")
     loop = LoopSetup("axis", None, None, "z_v", "y_m", gain(value))
     y = -error(rng, value)
-    return ls.Run(RATE, (loop,), (Recording(info, RATE, {"z_v": -value * y, "y_m": y}),))
+    return ls.Run(RATE, (loop,), (ls.Recording(info, RATE, {"z_v": -value * y, "y_m": y}),))
 
 
 R = ls.Requirements("axis", error_rms=3.0, unstable_poles=0, integrators=0)
@@ -130,25 +125,25 @@ def test_the_verdict_has_a_row_and_is_passed_failed_or_undecided():
 def test_the_command_predicts_from_another_run(tmp_path):
     rng = np.random.default_rng(5)
     for name in ("plant", "still"):
-        write_run(tmp_path / name, recorded(rng))
+        ls.write(recorded(rng), tmp_path / name)
     write_frfs(tmp_path / "plant", [replace(measured(rng), recording="still")])
-    write_controllers(tmp_path / "c.toml", [gain(NEW)])
+    ls.write(gain(NEW), tmp_path / "c.toml")
     (tmp_path / "r.toml").write_text(
         'format = "loopshape-requirements/1"\n[[loop]]\nname = "axis"\nerror_rms = 3.5\nunstable_poles = 0\n'
         "integrators = 0\n"
     )
     words = ["check", "plant", "c.toml", "--require", "r.toml", "--disturbance", "still", "--no-figures"]
     words = [str(tmp_path / w) if w in ("plant", "still", "c.toml", "r.toml") else w for w in words]
-    done = CliRunner().invoke(app, [*words, "--json"])
+    done = invoked([*words, "--json"])
     (line,) = json.loads(done.stdout)["loops"][0]["lines"]
     assert line["found"] == pytest.approx(true_rms(NEW), rel=0.1)
     assert line["interval"][0] < line["found"] < line["interval"][1]
-    assert "error_rms" in CliRunner().invoke(app, words).stdout
+    assert "error_rms" in invoked(words).stdout
 
 
 def test_the_command_tunes_to_it_from_another_run(tmp_path):
     rng = np.random.default_rng(5)
-    write_run(tmp_path / "still", recorded(rng))
+    ls.write(recorded(rng), tmp_path / "still")
     (tmp_path / "plant").mkdir()
     write_frfs(tmp_path / "plant", [replace(measured(rng), recording="still")])
     (tmp_path / "r.toml").write_text(
@@ -157,9 +152,9 @@ def test_the_command_tunes_to_it_from_another_run(tmp_path):
     )
     words = ["tune", "plant", "--require", "r.toml", "--out", "c.toml", "--starts", "2"]
     words = [str(tmp_path / w) if w in ("plant", "c.toml", "r.toml") else w for w in words]
-    refused = CliRunner().invoke(app, words)
+    refused = invoked(words)
     assert "--disturbance" in str(refused.exception)
-    done = CliRunner().invoke(app, [*words, "--json", "--disturbance", str(tmp_path / "still")])
+    done = invoked([*words, "--json", "--disturbance", str(tmp_path / "still")])
     (line,) = (x for x in json.loads(done.stdout)["loops"][0]["verdict"]["lines"] if x["quantity"] == "error_rms")
     (C,) = ls.read_controllers(tmp_path / "c.toml")
     found = C.blocks[0].parameters["gain"]
@@ -216,12 +211,12 @@ def test_what_does_not_show_a_disturbance_is_refused():
     run = recorded(rng)
     one = run.recordings[0]
     excited = RecordingInfo("a.parquet", "noise", "controller_input", excites="axis")
-    with pytest.raises(BadSignalError, match="excites loop axis"):
+    with pytest.raises(ls.errors.BadSignalError, match="excites loop axis"):
         ls.check(
-            measured(), gain(NEW), R, disturbance=ls.Run(RATE, run.loops, (Recording(excited, RATE, one.columns),))
+            measured(), gain(NEW), R, disturbance=ls.Run(RATE, run.loops, (ls.Recording(excited, RATE, one.columns),))
         )
-    with pytest.raises(WrongUseError, match="needs what disturbs the loop"):
+    with pytest.raises(ls.errors.WrongUseError, match="needs what disturbs the loop"):
         ls.tune(measured(), ls.Requirements("axis", error_rms=1.0, phase_margin_deg=40.0, unstable_poles=0),
                 [ls.gain()])  # fmt: skip
-    with pytest.raises(WrongUseError, match="two rising frequencies"):
+    with pytest.raises(ls.errors.WrongUseError, match="two rising frequencies"):
         ls.Disturbance.from_spectrum([2.0, 1.0], [1.0, 1.0])

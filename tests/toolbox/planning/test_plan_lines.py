@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Multisine
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import Multisine
+import loopshape as ls
 from loopshape.toolbox.planning.plan_lines import (
     chosen_lines,
     crossovers_hz,
@@ -69,7 +69,7 @@ def test_levels_of_a_multisine_are_its_lines_amplitudes():
 
 @pytest.mark.parametrize("levels", [(1.0, 2.0), (1.0, 2.0, 0.0), (1.0, 2.0, float("nan"))])
 def test_levels_that_do_not_fit_are_refused(levels):
-    with pytest.raises(WrongUseError, match="as many levels, all positive"):
+    with pytest.raises(ls.errors.WrongUseError, match="as many levels, all positive"):
         Multisine(0.4, 3.0, 2.0, 0.7, 1, lines_hz=(0.5, 1.0, 2.5), levels=levels)
 
 

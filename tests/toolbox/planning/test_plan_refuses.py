@@ -3,10 +3,9 @@
 import known_loops as known
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, Multisine
 
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.experiment import LoopSetup
+import loopshape as ls
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_record import first_record
@@ -31,7 +30,7 @@ def record():
     ],
 )
 def test_wishes_that_are_none(words, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence):
         Required(**words)
 
 
@@ -47,20 +46,20 @@ def test_wishes_that_are_none(words, sentence):
     ],
 )
 def test_wishes_beside_what_the_record_knows(record, words, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence):
         plan(record, Required(0.01, **words))
 
 
 def test_a_crossover_needs_a_controller_and_a_loop_that_crosses(record):
     from dataclasses import replace
 
-    from loopshape.data.control.controller import Block, Controller
+    from bench_nouns import Block
 
     unknown = LoopSetup("axis", "r_rad", "n_rad", "z_v", "y_rad", None)
-    with pytest.raises(WrongUseError, match="--at HZ"):
+    with pytest.raises(ls.errors.WrongUseError, match="--at HZ"):
         plan(replace(record, loop=unknown), Required(0.01))
-    with pytest.raises(WrongUseError, match="no crossover where the first recording is sure"):
-        plan(record, Required(0.01), Controller("axis", (Block("gain", {"gain": 1e-6}),), known.RATE))
+    with pytest.raises(ls.errors.WrongUseError, match="no crossover where the first recording is sure"):
+        plan(record, Required(0.01), ls.Controller("axis", (Block("gain", {"gain": 1e-6}),), known.RATE))
 
 
 def test_a_record_that_only_shows_the_inverse_controller_is_refused():
@@ -68,5 +67,5 @@ def test_a_record_that_only_shows_the_inverse_controller_is_refused():
     n = signal.signal(known.RATE)
     z, y = known.run_loop("controller_input", n, np.random.default_rng(1).standard_normal(n.size))
     made = known.record("controller_input", "multisine", n, z, y, period_s=10.0, from_s=1.0)
-    with pytest.raises(LoopshapeError, match=r"is valid|does not exceed the noise"):
+    with pytest.raises(ls.LoopshapeError, match=r"is valid|does not exceed the noise"):
         first_record(made, known.LOOP)

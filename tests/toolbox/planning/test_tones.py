@@ -4,16 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
+from commands import invoked
 from scipy.signal import chirp, lfilter
 from scipy.stats import binom
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
-from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.io.run.run_folder import write_run
 from loopshape.toolbox.planning.tone.nouns import Growth
 from loopshape.toolbox.planning.tone.tones import Period, tones_of
 
@@ -125,12 +121,12 @@ def folder(tmp_path_factory):
     )
     loop = LoopSetup("axis", None, None, "z_v", "y_rad", None)
     place = tmp_path_factory.mktemp("tones") / "run"
-    write_run(place, ls.Run(RATE, (loop,), (Recording(info, RATE, {"z_v": n, "y_rad": y}),)))
+    ls.write(ls.Run(RATE, (loop,), (ls.Recording(info, RATE, {"z_v": n, "y_rad": y}),)), place)
     return place
 
 
 def test_the_command_gives_table_json_and_a_picture(folder):
-    done = CliRunner().invoke(app, ["tones", str(folder), "--json"])
+    done = invoked(["tones", str(folder), "--json"])
     told = json.loads(done.stdout)
     output, control = told["channels"]
     assert control["tones"] == []  # the excitation alone, to its last digit
@@ -139,13 +135,13 @@ def test_the_command_gives_table_json_and_a_picture(folder):
     assert tone["frequency_hz"] == pytest.approx(58.8, abs=0.01)
     assert tone["growth"] == "grows"
     assert [path.endswith("tones_r1_y.png") for path in told["figures"]] == [True]
-    said = CliRunner().invoke(app, ["tones", str(folder), "--no-figures"])
+    said = invoked(["tones", str(folder), "--no-figures"])
     assert "58.8" in said.stdout
     assert "grows by" in said.stderr
 
 
 def test_frf_warns_of_a_tone_that_grows(folder):
-    done = CliRunner().invoke(app, ["frf", str(folder), "--no-figures"])
+    done = invoked(["frf", str(folder), "--no-figures"])
     assert done.exit_code == 0
     assert "holds a tone at 58.8 Hz that is not the excitation's and grows" in done.stderr
 
@@ -162,11 +158,11 @@ def test_long_signals_are_read_in_parts(monkeypatch):
 
 
 def test_what_is_no_signal_is_refused():
-    with pytest.raises(BadSignalError, match="too short"):
+    with pytest.raises(ls.errors.BadSignalError, match="too short"):
         ls.planning.tones(np.zeros(100), rate_hz=1000.0)
-    with pytest.raises(WrongUseError, match="rate_hz"):
+    with pytest.raises(ls.errors.WrongUseError, match="rate_hz"):
         ls.planning.tones(np.zeros(1000))
-    with pytest.raises(BadSignalError, match="not numbers"):
+    with pytest.raises(ls.errors.BadSignalError, match="not numbers"):
         ls.planning.tones({"y": np.full(1000, np.nan)}, rate_hz=1000.0)
     (still,) = ls.planning.tones(np.zeros(1000), rate_hz=1000.0)
     assert (still.rms, still.tones) == (0.0, ())

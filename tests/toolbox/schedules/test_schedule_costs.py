@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
 from bound_cases import frf_of, gain
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.model import TransferFunction
-from loopshape.design.tune import tune
+import loopshape as ls
 from loopshape.toolbox.limits.bound import bound
 from loopshape.toolbox.schedules.schedule import schedule
 
 DELAY = 0.02
 GAINS = (1.0, 4.0)
-ASKED = Requirements.from_table({
+ASKED = ls.Requirements.from_table({
     "name": "one", "integrators": 1, "unstable_poles": 0, "phase_margin_deg": 45.0, "sensitivity_peak_db": 8.0,
     "structure": [{"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}],
 })  # fmt: skip
@@ -26,7 +24,7 @@ def frfs():
 
 @pytest.fixture(scope="module")
 def found(frfs):
-    robust = tune(frfs, ASKED).controller
+    robust = ls.tune(frfs, ASKED).controller
     return schedule(frfs, ASKED, robust)
 
 
@@ -53,7 +51,7 @@ def test_no_bandwidth_exceeds_its_bound(found):
 
 def test_own_is_never_worse_than_robust(frfs):
     # a robust controller that is better than what the search may choose is its own
-    narrow = Requirements.from_table({
+    narrow = ls.Requirements.from_table({
         "name": "one", "integrators": 1, "unstable_poles": 0, "phase_margin_deg": 45.0,
         "structure": [{"kind": "gain", "gain": {"min": 1.0, "max": 2.0}}],
     })  # fmt: skip
@@ -75,9 +73,9 @@ def test_the_bound_of_a_controller_says_how_far_it_is_at_every_point(frfs):
 
 
 def test_a_controller_of_another_structure_is_refused(frfs):
-    other = Requirements.from_table({
+    other = ls.Requirements.from_table({
         "name": "one", "integrators": 1, "unstable_poles": 0, "phase_margin_deg": 45.0,
         "structure": [{"kind": "low_pass", "order": 1, "f_hz": {"min": 1.0, "max": 2.0}}],
     })  # fmt: skip
-    with pytest.raises(WrongUseError, match="not of the structure"):
+    with pytest.raises(ls.errors.WrongUseError, match="not of the structure"):
         schedule(frfs, other, gain(5.0))

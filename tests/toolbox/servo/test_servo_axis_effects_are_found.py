@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Experiment, Multisine
 
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.experiment import Experiment
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import candidates
@@ -57,7 +56,7 @@ def recorded(changes, given, count=3):
         )
     recordings = axis.simulate(experiments, changes=changes)
     assert all(r.info.ended_early is None for r in recordings)
-    return Run(RATE_HZ, loops, tuple(recordings), axis.name, extra={"parameters": given})
+    return ls.Run(RATE_HZ, loops, tuple(recordings), axis.name, extra={"parameters": given})
 
 
 def ranking(run):

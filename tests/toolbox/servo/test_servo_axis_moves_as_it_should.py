@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Experiment
 
-from loopshape.data.signal.experiment import Experiment
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.toolbox.servo import following
 from loopshape.toolbox.servo.axis import ServoAxis
 
@@ -58,7 +58,7 @@ def test_the_lacking_force_of_a_bare_model_is_the_force_that_is_not_modelled():
     t = np.arange(4000) / 1000.0
     r = open_loop(40.0 * np.sin(2 * np.pi * 1.5 * t), force_offset_n=3.0)
     axis = ServoAxis()
-    run = Run(1000.0, axis.loop_setups(axis.default_controllers(1000.0), "control"), (r,), axis.name)
+    run = ls.Run(1000.0, axis.loop_setups(axis.default_controllers(1000.0), "control"), (r,), axis.name)
     lacking = axis.residuals(axis.prepare(r, run, None), {})["force"]
     np.testing.assert_allclose(lacking, -3.0, atol=0.02)
 
@@ -66,7 +66,7 @@ def test_the_lacking_force_of_a_bare_model_is_the_force_that_is_not_modelled():
 def test_noise_floor_is_what_noise_leaves():
     axis = ServoAxis()
     r = open_loop(40.0 * np.sin(0.01 * np.arange(20000)), position_noise_m=1e-6)
-    run = Run(1000.0, axis.loop_setups(axis.default_controllers(1000.0), "control"), (r,), axis.name)
+    run = ls.Run(1000.0, axis.loop_setups(axis.default_controllers(1000.0), "control"), (r,), axis.name)
     f = axis.prepare(r, run, None)
     rms = np.sqrt(np.mean(axis.residuals(f, {})["force"] ** 2))
     assert rms == pytest.approx(following.noise_n(f, axis.parameters.vector()), rel=0.15)

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Experiment
 
-from loopshape.data.signal.experiment import Experiment
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.toolbox.servo.axis import ServoAxis
 from loopshape.toolbox.servo.parameters import AXIS_PARAMETERS
 
@@ -50,7 +50,7 @@ def test_neutral_is_the_identity_bit_for_bit(axis, experiment, nominal, changes)
 
 @pytest.mark.parametrize("name", NEUTRAL)
 def test_neutral_residuals_are_the_nominal_ones_and_moved_ones_are_not(axis, experiment, nominal, name):
-    prepared = axis.prepare(nominal, Run(1000.0, experiment.loops, (nominal,), axis.name), None)
+    prepared = axis.prepare(nominal, ls.Run(1000.0, experiment.loops, (nominal,), axis.name), None)
     bare = axis.residuals(prepared, {})["force"]
     np.testing.assert_array_equal(axis.residuals(prepared, {name: NEUTRAL[name]})["force"], bare)
     assert np.abs(axis.residuals(prepared, {name: MOVED[name]})["force"] - bare).max() > 0.05

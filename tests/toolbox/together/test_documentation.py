@@ -87,7 +87,7 @@ def test_every_page_is_in_the_contents() -> None:
 
 def test_every_public_name_is_in_the_reference() -> None:
     listed = set(re.findall(r"^   ([\w.]+)$", (DOCS / "api.md").read_text(), flags=re.M))
-    boxes = {key: dir(getattr(ls, key)) for key in ("plot", *found().toolboxes) if hasattr(ls, key)}
+    boxes = {key: dir(getattr(ls, key)) for key in ("plot", "errors", *found().toolboxes) if hasattr(ls, key)}
     inner = {f"{box}.{name}" for box, names in boxes.items() for name in names if not name.startswith("_")}
     assert listed == set(dir(ls)) - {"__version__", *boxes} | inner
 

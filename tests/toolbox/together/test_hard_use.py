@@ -13,30 +13,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Channel, Experiment, LoopSetup, RecordingInfo
+from run_files import CsvShape, add_recording, finished, read_toml, start_run, verify, write_frfs, write_toml
+from simulated_machines import Arm1, read_study
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.signal.channel import Channel
-from loopshape.data.signal.experiment import Experiment, LoopSetup
+import loopshape as ls
 from loopshape.data.signal.multisine import Multisine
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.csv_text import CsvShape, read_csv_table
-from loopshape.io.files import read_toml, write_toml
+from loopshape.io.csv_text import read_csv_table
 from loopshape.io.held import alone
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.replacing import replace_run
-from loopshape.io.run.run_folder import add_recording, finished, start_run
-from loopshape.io.run.verify import verify
-from loopshape.io.write.frfs import write_frfs
-from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.campaign import processes
 from loopshape.toolbox.campaign.files import write_index
 from loopshape.toolbox.campaign.machines import Campaign
 from loopshape.toolbox.campaign.many import carried_out
 from loopshape.toolbox.formats.controllers.excitation_export import export_signals
-from loopshape.toolbox.rig.files.study import read_study
 
 RATE = 100.0
 STUDY = """
@@ -54,12 +45,12 @@ excites = "theta2"
 excitation = { kind = "multisine", f_low_hz = 1.0, f_high_hz = 9.0, period_s = 2.0, periods = 3, amplitude_deg = 1.0 }
 """
 CAMPAIGN = 'format = "loopshape-campaign/1"\nstudy = "study.toml"\ndraws = 300\nseed = 1\n'
-HEADER = Run(RATE, (), (), None, {}, {"study_sha256": "1"})
+HEADER = ls.Run(RATE, (), (), None, {}, {"study_sha256": "1"})
 
 
 def recording(name, seed=1):
     info = RecordingInfo(f"{name}.parquet", "open_loop", "control", closed_loop=False)
-    return Recording(info, RATE, {"z_v": np.random.default_rng(seed).normal(size=50)})
+    return ls.Recording(info, RATE, {"z_v": np.random.default_rng(seed).normal(size=50)})
 
 
 @pytest.fixture
@@ -97,7 +88,7 @@ def test_what_one_process_writes_no_other_touches(run, line):
 def test_a_run_that_is_moved_while_it_is_written_ends_in_a_sentence(run):
     with alone(run):
         run.rename(run.with_name("moved"))
-        with pytest.raises(UnreadableInputError, match="does not exist"):
+        with pytest.raises(ls.errors.UnreadableInputError, match="does not exist"):
             add_recording(run, recording("b"))
     assert finished(run.with_name("moved")) == {"a"}
 
@@ -106,7 +97,7 @@ def test_a_journal_that_is_a_link_is_not_written_through(run, tmp_path):
     (tmp_path / "elsewhere").write_text("mine\n")
     (run / JOURNAL).unlink()
     (run / JOURNAL).symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(UnreadableInputError, match="cannot be written"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="cannot be written"):
         add_recording(run, recording("b"))
     assert (tmp_path / "elsewhere").read_text() == "mine\n"
     assert finished(run) == {"a", "b"}  # what was recorded is not lost
@@ -117,8 +108,8 @@ def test_a_folder_of_frfs_that_is_a_link_is_neither_written_nor_emptied(run, tmp
     (tmp_path / "elsewhere" / "mine.npz").write_bytes(b"mine")
     (run / "frf").symlink_to(tmp_path / "elsewhere")
     f = np.arange(1.0, 4.0)
-    frf = FRF(f, np.ones((3, 1, 1), complex), np.ones((3, 1, 1), complex), f > 0, ("z_v",), ("x_m",), "made up")
-    with pytest.raises(UnreadableInputError, match="leaves its folder"):
+    frf = ls.FRF(f, np.ones((3, 1, 1), complex), np.ones((3, 1, 1), complex), f > 0, ("z_v",), ("x_m",), "made up")
+    with pytest.raises(ls.errors.UnreadableInputError, match="leaves its folder"):
         write_frfs(run, [frf])
     replace_run(run, HEADER)
     assert [p.name for p in (tmp_path / "elsewhere").iterdir()] == ["mine.npz"]
@@ -130,7 +121,7 @@ def test_a_folder_of_frfs_that_is_a_link_is_neither_written_nor_emptied(run, tmp
 )
 def test_a_run_of_odd_words_is_not_gone_on_with(run, words):
     write_toml(run / "run.toml", read_toml(run / "run.toml") | words)
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         start_run(run, replace(HEADER, extra={**HEADER.extra, "notes": ["new"]}))
 
 
@@ -153,18 +144,18 @@ def test_verify_looks_at_tables_of_text_too(run):
 
 def test_rows_that_are_not_there_can_be_skipped_in_no_time(tmp_path):
     (tmp_path / "a.csv").write_text("1,2\n")
-    with pytest.raises(UnreadableInputError):
+    with pytest.raises(ls.errors.UnreadableInputError):
         read_csv_table(tmp_path / "a.csv", CsvShape(header=False, skip_rows=2**62))
 
 
 @pytest.mark.parametrize("numbers", [{"f_high_hz": 1e12}, {"period_s": 1e300}, {"crest_iterations": 2**62}])
 def test_a_multisine_that_would_fill_memory_or_days_is_refused(numbers):
-    with pytest.raises(WrongUseError, match="crest_iterations at most"):
+    with pytest.raises(ls.errors.WrongUseError, match="crest_iterations at most"):
         Multisine(**{"f_low_hz": 1.0, "f_high_hz": 9.0, "period_s": 2.0, "amplitude": 1.0} | numbers)
 
 
 def test_more_periods_than_can_be_made_are_refused():
-    with pytest.raises(WrongUseError, match="a signal is too long"):
+    with pytest.raises(ls.errors.WrongUseError, match="a signal is too long"):
         Multisine(1.0, 9.0, 2.0, 1.0, periods=2**40).signal(1000.0)
 
 
@@ -194,12 +185,12 @@ def test_a_set_of_effects_stands_in_for_the_studys_own(files):
 
 @pytest.mark.parametrize("words", [{"amplitudes": (1.0, 1.0000001)}, {"effects": ({}, {})}])
 def test_machines_of_one_name_are_refused(files, words):
-    with pytest.raises(WrongUseError, match="two machines of a campaign have one name"):
+    with pytest.raises(ls.errors.WrongUseError, match="two machines of a campaign have one name"):
         machines(files, **words)
 
 
 def test_draws_of_a_plant_without_a_spread_are_refused(files):
-    with pytest.raises(WrongUseError, match="has no manufacturing tolerance"):
+    with pytest.raises(ls.errors.WrongUseError, match="has no manufacturing tolerance"):
         list(Campaign(read_study(files / "study.toml"), draws=2).machines((), Arm1().parameters))
 
 
@@ -217,7 +208,7 @@ def test_another_campaign_is_not_mixed_into_a_folder(files, tmp_path):
     write_index(out, machines(files, draws=3, seed=1))  # more draws are welcome
     before = (out / "index.csv").read_bytes()
     for other in ({"draws": 3, "seed": 2}, {"draws": 2, "seed": 1}, {"draws": 3, "seed": 1, "amplitudes": (0.5, 1.0)}):
-        with pytest.raises(WrongUseError, match="holds the machines of another campaign"):
+        with pytest.raises(ls.errors.WrongUseError, match="holds the machines of another campaign"):
             write_index(out, machines(files, **other))
     assert (out / "index.csv").read_bytes() == before
 
@@ -228,14 +219,14 @@ def test_a_folder_that_is_no_campaigns_is_left_alone(files, tmp_path, there):
     out.mkdir()
     for name, text in there.items():
         (out / name).write_text(text)
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         write_index(out, machines(files))
     assert {p.name: p.read_text() for p in out.iterdir()} == there
 
 
 @pytest.mark.parametrize("workers", [-1, 1000, 10**9])
 def test_workers_that_no_machine_has_are_refused(workers):
-    with pytest.raises(WrongUseError, match="the number of workers"):
+    with pytest.raises(ls.errors.WrongUseError, match="the number of workers"):
         list(carried_out(print, [], workers))
 
 
@@ -359,7 +350,7 @@ def test_a_full_disk_ends_a_campaign_in_a_sentence(files):
 
 
 def experiment(name, *, reference="r_x_m", size=1.0, injection="reference"):
-    loop = LoopSetup("x", reference, None, "z_v", "x_m", Controller("x", (Block("gain", {"gain": 1.0}),), RATE))
+    loop = LoopSetup("x", reference, None, "z_v", "x_m", ls.Controller("x", (Block("gain", {"gain": 1.0}),), RATE))
     wave = size * np.sin(np.arange(20.0))[:, None]
     return Experiment(
         name, "none", (loop,), RATE, references=wave, injected=0.0 * wave, injection=injection,
@@ -377,7 +368,7 @@ def experiment(name, *, reference="r_x_m", size=1.0, injection="reference"):
     ],
 )
 def test_signals_that_another_program_would_misread_are_refused(tmp_path, to, experiments, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence):
         export_signals(tmp_path / "out", experiments, to)
 
 

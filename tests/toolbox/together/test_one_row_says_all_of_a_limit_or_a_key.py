@@ -7,14 +7,12 @@ from dataclasses import MISSING, fields, replace
 from types import SimpleNamespace
 
 import pytest
+from bench_nouns import LIMITS, Line, RecordingInfo
 from verdict_cases import CONTROLLER, margins
 
-from loopshape.data.requirement.limits_over import MASKED, Mask
-from loopshape.data.requirement.requirements import LIMITS, Margins, Requirements
-from loopshape.data.requirement.weight import Weight
-from loopshape.data.result.verdict import Line, Verdict
+import loopshape as ls
+from loopshape.data.requirement.limits_over import MASKED
 from loopshape.data.signal.experiment import Told
-from loopshape.data.signal.recording import RecordingInfo
 from loopshape.design.structure import NEAR
 from loopshape.io.run.run_tables import INFO, TOLD, read_recording, recording_table
 from loopshape.io.words import Words
@@ -34,28 +32,28 @@ def asked(name, value=0.9):
     if name in MASKED:
         response = ("S", "T", "CS", "PS", "L", "L")[MASKED.index(name)]
         sense = "at_least" if name == "loop_floor_db" else "at_most"
-        also = {"masks": (Mask(response, ((1.0, 0.0), (2.0, 0.0)), sense),)}
+        also = {"masks": (ls.Mask(response, ((1.0, 0.0), (2.0, 0.0)), sense),)}
     if name == "weighted_norm":
-        also = {"weights": (Weight("S", ((1.0, 0.0), (2.0, 0.0))),)}
+        also = {"weights": (ls.Weight("S", ((1.0, 0.0), (2.0, 0.0))),)}
     return {name: value} | also
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_limit_is_asked_for_and_found_under_one_name(name):
-    assert name in {f.name for f in fields(Requirements)} & {f.name for f in fields(Margins)}
+    assert name in {f.name for f in fields(ls.Requirements)} & {f.name for f in fields(ls.Margins)}
     words = {
         "masks": lambda mask: vars(mask),
         "weights": lambda weight: {"response": weight.response, "points": weight.size},
     }
     table = {k: [words[k](one) for one in value] if k in words else value for k, value in asked(name).items()}
-    assert Requirements.from_table({"name": "axis", **table}) is not None
+    assert ls.Requirements.from_table({"name": "axis", **table}) is not None
     assert name in margins().to_dict()
-    assert f"{name} at" in repr(Requirements("axis", **asked(name)))
+    assert f"{name} at" in repr(ls.Requirements("axis", **asked(name)))
 
 
 @pytest.mark.parametrize("limit", LIMITS, ids=NAMES)
 def test_the_report_shows_each_quantity_in_one_of_its_two_tables(limit):
-    found = Verdict("axis", (Line(limit.name, limit.unit, 1.0, 10.0, 1.0, "passed", "r1", 3.0),), {"r1": margins()})
+    found = ls.Verdict("axis", (Line(limit.name, limit.unit, 1.0, 10.0, 1.0, "passed", "r1", 3.0),), {"r1": margins()})
     one = SimpleNamespace(verdict=found, frfs=(), loops=(), controller=CONTROLLER)
     tables = str(margin_tables(one)).split("<table")[1:]
     assert [str(_column(limit)) in table for table in tables] == [limit.margin, not limit.margin]
@@ -63,7 +61,7 @@ def test_the_report_shows_each_quantity_in_one_of_its_two_tables(limit):
 
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "bandwidth_hz"])
 def test_a_bound_counts_each_limit_or_says_that_it_leaves_it_out(name):
-    used, left = counted(Requirements("axis", **asked(name)))
+    used, left = counted(ls.Requirements("axis", **asked(name)))
     assert (used, left) == (((name,), ()) if name in COUNTED else ((), (name,)))
 
 

@@ -19,7 +19,6 @@ import pytest
 from commands import loopshape
 
 import loopshape as ls
-from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.toolboxes import found
 
 ROOT = Path(__file__).parents[3]
@@ -108,7 +107,7 @@ except SystemExit:
 
 BOXES = [name for name in found().toolboxes if hasattr(ls, name)]
 EVERY = [name for name in dir(ls) if name != "__version__"]
-EVERY += [f"{box}.{name}" for box in BOXES for name in dir(getattr(ls, box))]
+EVERY += [f"{box}.{name}" for box in ("errors", *BOXES) for name in dir(getattr(ls, box))]
 
 
 @pytest.mark.parametrize("name", EVERY)
@@ -211,15 +210,14 @@ def test_a_coherence_tells_the_error() -> None:
 
 def test_the_verb_and_the_command_say_the_same(tmp_path: Path) -> None:
     """`ls.check` on the arm's exact response, and `loopshape check` on the same FRF in a run folder."""
-    from loopshape.io.write.controllers import write_controllers
-    from loopshape.io.write.frfs import write_frfs
+    from run_files import write_frfs
 
     P = ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), relative_std=0.02, rate_hz=RATE_HZ, loop="x", recording="r1")
     C = ls.controller(ls.gain(0.5), ls.pi(1.0), rate_hz=RATE_HZ, loop="x")
     run = tmp_path / "run"
     run.mkdir()
     write_frfs(run, [P])
-    write_controllers(tmp_path / "controller.toml", [C], None)
+    ls.write(C, tmp_path / "controller.toml")
     (tmp_path / "requirements.toml").write_text(
         'format = "loopshape-requirements/1"\n[[loop]]\nname = "x"\nphase_margin_deg = 45.0\nunstable_poles = 0\n'
     )
@@ -254,7 +252,7 @@ def test_predicted_and_bounded_from_the_same_nouns() -> None:
 
 
 def test_the_gap_needs_a_run_that_names_its_plant() -> None:
-    with pytest.raises(WrongUseError, match="names no plant"):
+    with pytest.raises(ls.errors.WrongUseError, match="names no plant"):
         ls.gap(ls.Run.from_arrays(u=np.arange(9.0), y=np.arange(9.0), rate_hz=1.0))
 
 
@@ -263,7 +261,7 @@ def test_arrays_may_be_held_out_and_take_columns_of_a_machine() -> None:
     assert recording.info.role == "validation"
     own = replace(recording, columns={"torque_nm": np.arange(9.0), "lever_rad": np.ones(9)})
     assert ls.Run(1.0, (), [own]).recordings[0].column("lever_rad").size == 9
-    with pytest.raises(WrongUseError, match="estimation"):
+    with pytest.raises(ls.errors.WrongUseError, match="estimation"):
         ls.Run.from_arrays(u=np.arange(9.0), y=np.ones(9), rate_hz=1.0, role="held out")
 
 
@@ -286,26 +284,26 @@ def test_reprs_are_one_line(arrays: dict[str, np.ndarray]) -> None:
     ],
 )
 def test_an_error_that_is_not_stated_is_refused(given: dict[str, object], words: str) -> None:
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), **given)
 
 
 def test_arrays_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(WrongUseError, match="for each frequency"):
+    with pytest.raises(ls.errors.WrongUseError, match="for each frequency"):
         ls.FRF.from_arrays(F_HZ, np.ones(3) + 0j, relative_std=0.1)
-    with pytest.raises(BadSignalError, match="not numbers"):
+    with pytest.raises(ls.errors.BadSignalError, match="not numbers"):
         ls.FRF.from_arrays(F_HZ, np.full(F_HZ.size, np.nan + 0j), relative_std=0.1)
-    with pytest.raises(WrongUseError, match="of one length"):
+    with pytest.raises(ls.errors.WrongUseError, match="of one length"):
         ls.Run.from_arrays(u=np.ones(3), y=np.ones(4), rate_hz=1.0)
-    with pytest.raises(WrongUseError, match="needs numbers"):
+    with pytest.raises(ls.errors.WrongUseError, match="needs numbers"):
         ls.controller(ls.gain(), rate_hz=1000.0)
-    with pytest.raises(WrongUseError, match="0 < low < high"):
+    with pytest.raises(ls.errors.WrongUseError, match="0 < low < high"):
         ls.notch((5.0, 2.0))
-    with pytest.raises(WrongUseError, match=r"P of ls\.check must be a FRF, a sequence of FRF or a Diagram"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"P of ls\.check must be a FRF, a sequence of FRF or a Diagram"):
         ls.check([3.0], ls.controller(ls.gain(1.0), rate_hz=1000.0))
-    with pytest.raises(WrongUseError, match="only frequency response data and systems"):
+    with pytest.raises(ls.errors.WrongUseError, match="only frequency response data and systems"):
         ls.from_control(3.0)
-    with pytest.raises(WrongUseError, match="give frequency_hz"):
+    with pytest.raises(ls.errors.WrongUseError, match="give frequency_hz"):
         ls.from_control(control.tf([1.0], [1.0, 1.0]))
 
 

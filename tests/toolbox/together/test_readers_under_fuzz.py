@@ -15,34 +15,36 @@ import zlib
 import numpy as np
 import pytest
 import tomli_w
+from bench_nouns import Block, Estimate, LoopSetup, RecordingInfo, TransferFunction
 from fuzz_cases import NAMES, damaged, said, tables, tree
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from run_files import (
+    CsvShape,
+    add_recording,
+    check_recordings,
+    finished,
+    read_fits,
+    read_frfs,
+    read_journal,
+    read_toml,
+    start_run,
+    verify,
+    write_controllers,
+    write_fits,
+    write_frfs,
+    write_text_whole,
+)
 from scipy.io import savemat
+from simulated_machines import Arm1, import_file, plan, read_study
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import Estimate, Fit, TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.csv_text import CsvShape
-from loopshape.io.files import read_toml, write_text_whole
+import loopshape as ls
 from loopshape.io.run.journal import FILE as JOURNAL
-from loopshape.io.run.journal import note, read_journal
-from loopshape.io.run.run_folder import add_recording, check_recordings, finished, read_run, start_run
+from loopshape.io.run.journal import note
 from loopshape.io.run.tables import TableColumns
-from loopshape.io.run.verify import verify
-from loopshape.io.write.controllers import read_controllers, write_controllers
-from loopshape.io.write.fits import read_fits, write_fits
-from loopshape.io.write.frfs import read_frfs, write_frfs
-from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.campaign.files import read_campaign
-from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.sources import Place, open_source
 from loopshape.toolbox.rig.effects import asked
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import plan
 
 pytestmark = pytest.mark.long
 
@@ -56,7 +58,7 @@ EXAMPLES = {
 RATE = 100.0
 MOST_BYTES = 2_500_000_000  # of address space, where a reader is let loose on a bomb
 BLOCK = Block("pi", {"f_hz": 1.0})
-LOOP = LoopSetup("x", "r_x_m", "n_x_m", "z_v", "x_m", Controller("x", (BLOCK,), RATE))
+LOOP = LoopSetup("x", "r_x_m", "n_x_m", "z_v", "x_m", ls.Controller("x", (BLOCK,), RATE))
 
 
 def examples(what):
@@ -69,12 +71,12 @@ def recording(name, seed=1):
         f"{name}.parquet", "multisine", "controller_input", excites="x", period_s=0.2, periodic_from_s=0.2,
         operating_point={"x_m": 0.1}, parameters={"mass_kg": 2.0},
     )  # fmt: skip
-    return Recording(info, RATE, dict(zip(COLUMNS, noise, strict=True)))
+    return ls.Recording(info, RATE, dict(zip(COLUMNS, noise, strict=True)))
 
 
 COLUMNS = ("r_x_m", "n_x_m", "z_v", "x_m")
 WRITTEN = np.array([recording(name, k).column(c) for k, name in enumerate(("a", "b")) for c in COLUMNS])
-HEADER = Run(
+HEADER = ls.Run(
     RATE, (LOOP,), (), "servo-axis", {"frequency_hz": 50.0, "dead_zone": 0.1},
     {"study_sha256": "0" * 64, "provenance": {"seed": 1}, "parameters": {"mass_kg": 1.0}, "notes": ["a note"]},
     ("x_m",),
@@ -123,7 +125,7 @@ def use_run(run, content):
     (run / "run.toml").write_bytes(content)
     said(lambda: finished(run))
     said(lambda: verify(run))
-    said(lambda: check_recordings(read_run(run)))
+    said(lambda: check_recordings(ls.read(run)))
     said(lambda: start_run(run, HEADER))
     said(lambda: add_recording(run, recording("c", 3)))
     (run / "c.parquet").unlink(missing_ok=True)
@@ -138,7 +140,7 @@ def run_table(area):
 def with_own_words_again(run, table):
     """The samples (8, 60) of both recordings where run.toml says again what it said."""
     (run / "run.toml").write_bytes(tomli_w.dumps(table).encode())
-    return np.array([read_run(run).recording(name).column(c) for name in sorted(finished(run)) for c in COLUMNS])
+    return np.array([ls.read(run).recording(name).column(c) for name in sorted(finished(run)) for c in COLUMNS])
 
 
 @pytest.mark.long
@@ -166,7 +168,7 @@ def test_bytes_of_run_toml(area, run_table, untouched):
 def test_no_name_of_a_recording_leads_out(area, run_table, untouched, name):
     entry = run_table["recording"][0] | {"file": name}
     use_run(area / "run", tomli_w.dumps(run_table | {"recording": [entry]}).encode())
-    assert said(lambda: read_run(area / "run"))
+    assert said(lambda: ls.read(area / "run"))
 
 
 STUDY = {
@@ -477,7 +479,7 @@ def test_words_of_a_file_of_controllers(area, untouched):
     path.parent.mkdir(exist_ok=True)
     lag = Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 20.0})
     write_controllers(
-        path, [Controller("x", (BLOCK, lag), RATE, computation_delay_s=0.001), Controller("y", (BLOCK,), RATE)]
+        path, [ls.Controller("x", (BLOCK, lag), RATE, computation_delay_s=0.001), ls.Controller("y", (BLOCK,), RATE)]
     )
     whole = read_toml(path)
 
@@ -485,14 +487,14 @@ def test_words_of_a_file_of_controllers(area, untouched):
     @examples("controllers words")
     def test(table):
         path.write_bytes(tomli_w.dumps(table).encode())
-        said(lambda: [c.blocks for c in read_controllers(path)])
+        said(lambda: [c.blocks for c in ls.read_controllers(path)])
 
     test()
 
 
 def frf():
     f = np.geomspace(0.1, 40.0, 30)
-    return FRF(
+    return ls.FRF(
         f, (20.0 / (2j * np.pi * f))[:, None, None], np.full((f.size, 1, 1), 1e-8 + 0j), np.full(f.size, True),
         ("z_v",), ("x_m",), "made up", recording="a", loop="x", rate_hz=RATE,
     )  # fmt: skip
@@ -500,7 +502,7 @@ def frf():
 
 def test_a_file_of_fits(area, untouched):
     model = TransferFunction(np.array([1.0]), np.array([1.0, 2.0]), 0.01)
-    one = Fit(
+    one = ls.Fit(
         structure="lag", model=model, parameters=(Estimate("gain", 1.0, "1", 0.1),), covariance=np.eye(1),
         outcome="converged", chi2_per_dof=1.0, p_value=0.5, runs_p_value=0.5, misfit_db=0.1, band_hz=(0.1, 10.0),
         lines=30, recording="a", loop="x", operating_point={"x_m": 0.0}, delay_free=True,

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from text_layout import looked_at
 
+import loopshape as ls
+
 ROOT = Path(__file__).parents[3]
 README = (ROOT / "README.md").read_text()
 HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap", "machine")]
@@ -140,16 +142,13 @@ def test_the_readme_is_short() -> None:
 def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     """53-54 Hz at -82 dB, 77 Hz at -37 dB, zeros 53.9 and poles 76.2 Hz, 36.6 Hz of bandwidth."""
     import numpy as np
+    from conversions import db
+    from run_files import read_fits, read_frfs
 
     from loopshape.cli.estimate.fit import fit_run
     from loopshape.cli.estimate.frf import estimate_and_report
     from loopshape.cli.output import Output
-    from loopshape.core.units import db
-    from loopshape.design.tune import tune
     from loopshape.identify.fit import modes
-    from loopshape.io.write.fits import read_fits
-    from loopshape.io.write.frfs import read_frfs
-    from loopshape.io.write.requirements import read_requirements
     from loopshape.toolbox.formats.commands.import_file import import_run
 
     bench, quiet = ROOT / "examples" / "motor_bench", Output(quiet=True)
@@ -166,6 +165,6 @@ def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     found = {e.name: e.value for e in modes(fits[0])}
     assert found["zero1_f_hz"] == pytest.approx(53.9, abs=0.1)
     assert found["pole2_f_hz"] == pytest.approx(76.2, abs=0.1)
-    tuned = tune([frf], read_requirements(bench / "requirements.toml")[0], fits)
+    tuned = ls.tune([frf], ls.read_requirements(bench / "requirements.toml")[0], fits=fits)
     assert tuned.feasible
     assert tuned.bandwidth_hz == pytest.approx(36.6, abs=0.3)

@@ -6,19 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
+from bench_nouns import Estimate, LoopSetup, Multisine, RecordingInfo
+from conversions import TWO_PI
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape import __version__
 from loopshape.cli.main import COMMANDS, app
-from loopshape.core.errors import LoopshapeError
 from loopshape.core.toolboxes import function_at
-from loopshape.core.units import TWO_PI
-from loopshape.data.response.model import Estimate
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.run.run_folder import write_run
 from loopshape.view.labels import root_cells
 
 pytestmark = pytest.mark.short
@@ -36,7 +31,7 @@ controller = [{ kind = "gain", gain = 2.0 }]
 
 def loopshape(*words):
     done = CliRunner().invoke(app, [str(word) for word in words])
-    code = 2 if isinstance(done.exception, LoopshapeError) else done.exit_code
+    code = 2 if isinstance(done.exception, ls.LoopshapeError) else done.exit_code
     return code, done.stdout, f"{done.stderr}{done.exception or ''}"
 
 
@@ -54,7 +49,7 @@ def folder(tmp_path_factory):
         "r1.parquet", "multisine", "control", excites="axis", closed_loop=False, period_s=4.0, periodic_from_s=1.0
     )
     loop = LoopSetup("axis", None, None, "z_v", "y_rad", None)
-    write_run(place / "run", Run(RATE, (loop,), (Recording(info, RATE, {"z_v": u, "y_rad": y}),)))
+    ls.write(ls.Run(RATE, (loop,), (ls.Recording(info, RATE, {"z_v": u, "y_rad": y}),)), place / "run")
     assert loopshape("frf", place / "run", "--no-figures", "--quiet")[0] == 0
     (place / "c.toml").write_text(CONTROLLER)
     return place

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from algebra_nouns import any_frf, covariance_of, drawn
 
+import loopshape as ls
 from loopshape.data.algebra import add, feedback, inverse, lower_closure, product, subtract, upper_closure
-from loopshape.data.control.controller import Block, Controller
+from loopshape.data.control.controller import Block
 
 COUNT, F = 20_000, np.array([1.0, 2.0])
 Y, U = ("y0", "y1"), ("u0", "u1", "u2")
@@ -94,7 +95,7 @@ def test_a_controller_adds_no_error_and_noise_keeps_its_share():
     rng = np.random.default_rng(5)
     P = any_frf(rng, 1, 1, f=F, rate_hz=100.0)
     P = replace(P, noise_covariance=0.25 * P.covariance)
-    loop = feedback(P, Controller("x", (Block("gain", {"gain": 0.5}),), 100.0))
+    loop = feedback(P, ls.Controller("x", (Block("gain", {"gain": 0.5}),), 100.0))
     S = 1.0 / (1.0 + 0.5 * P.siso)
     np.testing.assert_allclose(loop.S_o.siso, S)
     np.testing.assert_allclose(loop.S_o.variance[:, 0, 0], np.abs(0.5 * S**2) ** 2 * P.variance[:, 0, 0])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError
 from loopshape.data.requirement.profile import zone_shares
 from loopshape.io.profiles import OWN, profile_of, read_profiles
 from loopshape.view.verdict.tables import zone_sentence
@@ -79,7 +78,7 @@ def test_a_profile_of_one_s_own(tmp_path):
         text.replace("limits = { gain_margin_db = 6.0, phase_margin_deg = 45.0 }", "limits = { gain_marg_db = 6.0 }"),
         encoding="utf-8",
     )
-    with pytest.raises(LoopshapeError, match=r"gain_marg_db.*gain_margin_db"):
+    with pytest.raises(ls.LoopshapeError, match=r"gain_marg_db.*gain_margin_db"):
         read_profiles(tmp_path / "mine.toml")
 
 
@@ -95,17 +94,17 @@ def test_the_table_of_the_docs_is_that_of_the_file():
 
 
 def test_check_under_a_profile_says_zone_and_clause(tmp_path, capsys):
+    from run_files import write_frfs
+
     from loopshape.cli.output import Output
     from loopshape.cli.verify.check import check_run
-    from loopshape.io.write.controllers import write_controllers
-    from loopshape.io.write.frfs import write_frfs
 
     P = ls.FRF.from_arrays(
         F, 1.0 / (1j * F / 5.0 * (1.0 + 1j * F / 10.0)), relative_std=0.01, rate_hz=1000.0, loop="x", recording="r",
         open_loop=True,
     )  # fmt: skip
     write_frfs(tmp_path / "run", [P])
-    write_controllers(tmp_path / "c.toml", [ls.controller(ls.gain(1.0), rate_hz=1000.0, loop="x")], None)
+    ls.write(ls.controller(ls.gain(1.0), rate_hz=1000.0, loop="x"), tmp_path / "c.toml")
     passed, _ = check_run(tmp_path / "run", tmp_path / "c.toml", None, Output(), figures=False, profile="iso-14839-3")
     said = " ".join(capsys.readouterr().out.split())
     assert passed

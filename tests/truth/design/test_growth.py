@@ -8,14 +8,12 @@ import pytest
 from tune_plants import GAIN, LEAD, frf, problem_of, servo, wished
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import series_response
 from loopshape.design.growth import Stage
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.rows import DIP
 from loopshape.design.starts import neutral
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check
 
 LIMITS = {"sensitivity_peak_db": 6.0, "control_peak_db": 20.0}
 
@@ -40,7 +38,7 @@ def test_each_step_gains_and_the_first_is_the_tuning_without_growth(plant, grown
 
 
 def test_what_is_grown_passes_a_check_of_its_own(plant, grown):
-    verdict = check([plant], grown.controller, wished(GAIN, **LIMITS))
+    verdict = ls.check([plant], grown.controller, wished(GAIN, **LIMITS))
     assert verdict.passed
     assert min(m.bandwidth_hz for m in verdict.margins.values()) == pytest.approx(grown.bandwidth_hz, rel=0.05)
 
@@ -111,7 +109,7 @@ def test_a_complex_lead_of_damping_one_is_two_leads():
 def test_growth_of_several_loops_at_once_is_refused(tmp_path):
     from loopshape.verbs import runs
 
-    with pytest.raises(WrongUseError, match="one loop at a time"):
+    with pytest.raises(ls.errors.WrongUseError, match="one loop at a time"):
         runs.tune(tmp_path, tmp_path / "requirements.toml", matrix=True, grow=2)
 
 

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
+from conversions import angular
 from tune_plants import GAIN, LOW_PASS, PI, frf
 
-from loopshape.core.units import angular
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.model import TransferFunction
-from loopshape.design.tune import tune
+import loopshape as ls
 
 WIDE = {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 1000.0}, "f2_hz": {"min": 1.0, "max": 1000.0}}
 DELAY_S = 0.003
@@ -59,7 +58,7 @@ def test_the_truth_knows_a_controller_for_each_case() -> None:
 def test_a_start_is_found_on_every_seed(corners_hz: tuple[float, ...], structure: tuple[dict, ...], seed: int) -> None:
     plants = [frf(bearing(f), 120, f"{f:g}", 5.0, 200.0, 0.01, k) for k, f in enumerate(corners_hz)]
     wish = {"name": "one", "integrators": 0, "unstable_poles": 1, "sensitivity_peak_db": 8.0}
-    found = tune(plants, Requirements.from_table(wish | {"structure": list(structure)}), seed=seed, starts=3)
+    found = ls.tune(plants, ls.Requirements.from_table(wish | {"structure": list(structure)}), seed=seed, starts=3)
     assert found.feasible
     blocks = [block.to_table() for block in found.controller.blocks]
     assert max(closed_loop_poles(f, blocks).real.max() for f in corners_hz) < 0.0

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servos, wished
 
+import loopshape as ls
 from loopshape.design.problem.measures import measure
 from loopshape.design.search import Goal, begin, search
 from loopshape.design.settle import allowances, settle
-from loopshape.design.tune import tune
-from loopshape.loop.verdict import check
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
 BLOCKS = (GAIN, LEAD, PI, NOTCH, LOW_PASS)
@@ -18,8 +17,8 @@ BLOCKS = (GAIN, LEAD, PI, NOTCH, LOW_PASS)
 @pytest.mark.parametrize("std", [0.02, 0.05])
 def test_it_passes_with_intervals_and_what_binds_has_no_room(std):
     plants, asked = servos(std), wished(*BLOCKS, **LIMITS)
-    found = tune(plants, asked)
-    verdict = check(plants, found.controller, asked)
+    found = ls.tune(plants, asked)
+    verdict = ls.check(plants, found.controller, asked)
     assert verdict.outcome == found.outcome == "passed"
     assert all(line.interval is not None and line.interval[0] < line.interval[1] for line in verdict.lines)
     spare = {line.quantity: line.spare for line in verdict.lines}
@@ -31,7 +30,7 @@ def test_it_passes_with_intervals_and_what_binds_has_no_room(std):
 def test_confidence_costs_and_more_data_give_it_back():
     # a gain alone: no other optimum to fall into, and the same noise three times over, ever smaller
     stds, asked = (0.1, 0.03, 0.003), wished(GAIN, phase_margin_deg=45.0)
-    hz = [tune([frf(DELAYED, 400, std=std)], asked).bandwidth_hz for std in stds]
+    hz = [ls.tune([frf(DELAYED, 400, std=std)], asked).bandwidth_hz for std in stds]
     assert hz[0] < hz[1] < hz[2] < 6.25
     assert hz[2] == pytest.approx(6.25, rel=5e-3)
     assert hz[0] > 0.8 * 6.25
@@ -41,7 +40,7 @@ def test_an_allowance_is_the_gap_to_the_bad_end():
     # one limit, one plant, a gain: what the tuner reads less the allowance is what the verdict counts
     plant, asked = frf(DELAYED, 400, std=0.05), wished(GAIN, phase_margin_deg=45.0)
     p, x = problem_of([plant], asked), np.log([12.0])
-    verdict = check([plant], p.controller(x), asked)
+    verdict = ls.check([plant], p.controller(x), asked)
     read = np.degrees(measure(p, x, {}).room.min())
     assert read - allowances(p, x, verdict)["phase_margin_deg"][0] == pytest.approx(verdict.lines[0].spare, abs=1e-9)
 
@@ -49,10 +48,10 @@ def test_an_allowance_is_the_gap_to_the_bad_end():
 def test_settling_ends_where_it_passes_whatever_it_starts_from():
     plants, asked = servos(0.05), wished(*BLOCKS, **LIMITS)
     p = problem_of(plants, asked)
-    best = tune(plants, asked).controller
+    best = ls.tune(plants, asked).controller
 
     def judge(controller, points=None):
-        return check(plants if points is None else [plants[k] for k in points], controller, asked)
+        return ls.check(plants if points is None else [plants[k] for k in points], controller, asked)
 
     x = np.log([best.blocks[v.block].parameters[v.name] for v in p.variables])
     for push in (-0.05, 0.05):

@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, frf, problem_of, servos, wished
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.objective import Objective
-from loopshape.data.requirement.requirements import Requirements
+import loopshape as ls
 from loopshape.design.problem.measures import measure
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check
 
 LOW = {"disturbance": 1.0, "disturbance_below_hz": 3.0}
 NEAR = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0}
@@ -72,23 +70,23 @@ def test_the_worst_operating_point_counts():
 @pytest.mark.parametrize(
     ("given", "meant"),
     [
-        ({}, Objective()),
-        ({"objective": "bandwidth"}, Objective(1.0, 0.0)),
-        ({"objective": "disturbance", "disturbance_below_hz": 0.3}, Objective(0.0, 1.0, 0.3)),
-        ({"objective": {"disturbance": 2.0, "disturbance_below_hz": 0.3}}, Objective(0.0, 2.0, 0.3)),
+        ({}, ls.Objective()),
+        ({"objective": "bandwidth"}, ls.Objective(1.0, 0.0)),
+        ({"objective": "disturbance", "disturbance_below_hz": 0.3}, ls.Objective(0.0, 1.0, 0.3)),
+        ({"objective": {"disturbance": 2.0, "disturbance_below_hz": 0.3}}, ls.Objective(0.0, 2.0, 0.3)),
         (
             {"objective": {"bandwidth": 1.0, "disturbance": 0.5, "disturbance_below_hz": 0.3}},
-            Objective(1.0, 0.5, 0.3),
+            ls.Objective(1.0, 0.5, 0.3),
         ),
     ],
 )
 def test_objectives_as_files_write_them(given, meant):
-    assert Requirements.from_table({"name": "one"} | given).objective == meant
+    assert ls.Requirements.from_table({"name": "one"} | given).objective == meant
 
 
 def test_an_objective_does_not_change_a_check():
-    controller = Controller("one", (Block("gain", {"gain": 10.0}),), RATE)
+    controller = ls.Controller("one", (Block("gain", {"gain": 10.0}),), RATE)
     lines = [
-        check([frf(DELAYED)], controller, wished(GAIN, **NEAR, objective=kind)).lines for kind in ("bandwidth", LOW)
+        ls.check([frf(DELAYED)], controller, wished(GAIN, **NEAR, objective=kind)).lines for kind in ("bandwidth", LOW)
     ]
     assert lines[0] == lines[1]

@@ -3,16 +3,12 @@
 from dataclasses import replace
 
 import pytest
+from bench_nouns import Block
 from two_axes import RATE, F, matrix
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
-from loopshape.data.response.frf import FRF
 from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
-from loopshape.loop.matrix.several import check_several
 
 
 def wished(name, **limits):
@@ -28,11 +24,11 @@ def wished(name, **limits):
             {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 100.0}, "f2_hz": {"min": 5.0, "max": 400.0}},
         ],
     }
-    return Requirements.from_table(table | limits)
+    return ls.Requirements.from_table(table | limits)
 
 
 WISHES = (wished("a"), wished("b"))
-WHOLE = SeveralRequirements(unstable_poles=0)
+WHOLE = ls.SeveralRequirements(unstable_poles=0)
 FEW = {"starts": 4, "draws": 20, "several": WHOLE}
 
 
@@ -43,7 +39,7 @@ def test_loops_that_do_not_meet_are_tuned_as_each_alone():
     assert [turn.round for turn in found.turns] == [1, 1, 2, 2]
     for k, wish in enumerate(WISHES):
         own = matrix(0.0)
-        part = FRF(
+        part = ls.FRF(
             F, own.response[:, k : k + 1, k : k + 1], own.covariance[:, :1, :1], own.trusted, ("z",), ("y",), "known",
             "one", wish.loop, RATE,
         )  # fmt: skip
@@ -61,7 +57,7 @@ def test_coupled_loops_come_to_rest_and_pass_together(coupled):
     frfs, found = coupled
     assert found.converged
     assert found.feasible
-    assert check_several(frfs, found.controllers, WISHES, WHOLE).passed
+    assert ls.check(frfs, found.controllers, WISHES, together=WHOLE).passed
     moved = [turn.moved for turn in found.turns if turn.round > 1]
     assert moved[-1] < 3e-3 < moved[0]
 
@@ -69,7 +65,7 @@ def test_coupled_loops_come_to_rest_and_pass_together(coupled):
 def test_tuned_alone_they_fail_together(coupled):
     frfs, _ = coupled
     alone = tune_several([matrix(0.0), matrix(0.0, (0.005, 0.006), "two")], WISHES, **FEW)
-    assert not check_several(frfs, alone.controllers, WISHES).passed
+    assert not ls.check(frfs, alone.controllers, WISHES).passed
 
 
 def test_at_rest_no_loop_improves_alone(coupled):
@@ -88,7 +84,7 @@ def test_same_seed_same_controllers(coupled):
 
 
 def test_a_loop_without_wishes_stays_closed_as_it_is():
-    still = Controller("b", (Block("gain", {"gain": 20.0}),), RATE)
+    still = ls.Controller("b", (Block("gain", {"gain": 20.0}),), RATE)
     found = tune_several([matrix(0.6)], WISHES[:1], [still], **FEW)
     assert {turn.others for turn in found.turns} == {("b",)}
     assert [c.loop for c in found.controllers] == ["a", "b"]
@@ -96,7 +92,7 @@ def test_a_loop_without_wishes_stays_closed_as_it_is():
 
 
 def test_one_loop_is_refused():
-    with pytest.raises(WrongUseError, match="several loops are two at least"):
+    with pytest.raises(ls.errors.WrongUseError, match="several loops are two at least"):
         tune_several([matrix(0.0)], WISHES[:1])
 
 
@@ -108,5 +104,5 @@ def test_one_loop_is_refused():
     ],
 )
 def test_what_is_of_one_loop_alone_is_not_asked_of_several(asked, words):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.tune(matrix(0.0), **asked)

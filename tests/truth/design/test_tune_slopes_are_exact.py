@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, problem_of, servos, wished
 
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 from loopshape.data.requirement import requirements
-from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.problem.measures import measure, opened
 from loopshape.design.problem.problem import problem
 from loopshape.loop.margin.error_rms import error_rms
@@ -101,10 +101,10 @@ def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
 
 
 def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
-    f, held_by = np.geomspace(0.02, 3000.0, 4000), Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
-    still = Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), held_by=held_by)
+    f, held_by = np.geomspace(0.02, 3000.0, 4000), ls.Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
+    still = ls.Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), held_by=held_by)
     asked = wished(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, error_rms=2.0)
-    loops = loops_of(servos(0.0, 800), Controller("one", (Block("gain", {"gain": 1.0}),), RATE), asked)[0]
+    loops = loops_of(servos(0.0, 800), ls.Controller("one", (Block("gain", {"gain": 1.0}),), RATE), asked)[0]
     p = problem(loops, asked, RATE, opened=[opened(loop, still, RATE) for loop in loops])
     x = np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
     here = measure(p, x, {})

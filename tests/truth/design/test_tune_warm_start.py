@@ -4,21 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, servos, wished
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 from loopshape.design.search import begin
 from loopshape.design.settle import Settled
 from loopshape.design.tune import _no_worse, tune, warm_start
-from loopshape.loop.verdict import check
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
 BLOCKS = (GAIN, LEAD, NOTCH, LOW_PASS)
 PLANTS = servos()
 ASKED = wished(*BLOCKS, **LIMITS)
 #: slow and safe, its blocks in another order than the structure's
-SLOW = Controller(
+SLOW = ls.Controller(
     "one",
     (
         Block("low_pass_2", {"f_hz": 300.0, "damping": 0.7}),
@@ -31,7 +30,7 @@ SLOW = Controller(
 
 
 def slowest(controller):
-    return min(m.bandwidth_hz for m in check(PLANTS, controller, ASKED).margins.values())
+    return min(m.bandwidth_hz for m in ls.check(PLANTS, controller, ASKED).margins.values())
 
 
 def test_blocks_find_their_places_by_kind():
@@ -45,12 +44,12 @@ def test_blocks_find_their_places_by_kind():
 def test_the_kth_of_a_kind_stands_for_the_kth():
     p = problem_of(PLANTS, wished(GAIN, LEAD, LEAD, **LIMITS))
     leads = [Block("lead_lag", {"f1_hz": f1, "f2_hz": f2}) for f1, f2 in ((3.0, 40.0), (20.0, 200.0))]
-    x, _ = warm_start(p, Controller("one", (*leads, Block("gain", {"gain": 0.5})), RATE))
+    x, _ = warm_start(p, ls.Controller("one", (*leads, Block("gain", {"gain": 0.5})), RATE))
     np.testing.assert_allclose(np.exp(x), [0.5, 3.0, 40.0, 20.0, 200.0])
 
 
 def test_alone_it_improves_locally_and_the_same_each_time():
-    assert check(PLANTS, SLOW, ASKED).passed
+    assert ls.check(PLANTS, SLOW, ASKED).passed
     found, again = (tune(PLANTS, ASKED, start=SLOW, starts=1, seed=seed) for seed in (0, 7))
     assert found.feasible
     assert found.starts == 1
@@ -71,7 +70,7 @@ def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
     p = problem_of(PLANTS, ASKED)
 
     def judge(controller):
-        return check(PLANTS, controller, ASKED)
+        return ls.check(PLANTS, controller, ASKED)
 
     def settled(x):
         return Settled(begin(p, x), judge(p.controller(x)), {})
@@ -116,6 +115,6 @@ def replace_notch(f2_hz):
 
 @pytest.mark.parametrize("blocks", [SLOW.blocks[1:], (*SLOW.blocks, Block("pi", {"f_hz": 1.0}))])
 def test_other_blocks_are_refused(blocks):
-    with pytest.raises(WrongUseError, match="does not fit the structure of loop 'one'") as caught:
+    with pytest.raises(ls.errors.WrongUseError, match="does not fit the structure of loop 'one'") as caught:
         tune(PLANTS, ASKED, start=replace(SLOW, blocks=blocks))
     assert "the structure has 1 gain, 1 lead_lag, 1 low_pass_2, 1 notch" in str(caught.value)

@@ -10,6 +10,7 @@ import examiner.exam as exam
 import numpy as np
 import pandas as pd
 import pytest
+from conversions import deg, rad
 from examiner import (
     BLOCKS,
     EFFECTS,
@@ -30,8 +31,7 @@ from examiner.record import at_rest, record
 from examiner.session import ANGLE, PRESSURE, Plan, plans
 from scipy.signal import lfilter
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import deg, rad
+import loopshape as ls
 
 SHARED = Path(os.environ.get("LOOPSHAPE_DATA", Path(__file__).parents[4] / "shared"))
 REFERENCE = SHARED / "reference"
@@ -250,11 +250,11 @@ def test_a_seal_depends_on_labels_and_nonce_alone():
 
 
 def test_refuses_what_it_does_not_have():
-    with pytest.raises(WrongUseError, match="no such effect"):
+    with pytest.raises(ls.errors.WrongUseError, match="no such effect"):
         make_run({"gremlin": 1.0}, 1)
-    with pytest.raises(WrongUseError, match="kind is not known"):
+    with pytest.raises(ls.errors.WrongUseError, match="kind is not known"):
         draw_case("triple", np.random.default_rng(0))
-    with pytest.raises(WrongUseError, match="left its range"):
+    with pytest.raises(ls.errors.WrongUseError, match="left its range"):
         make_run({"payload": 2000.0}, 1)
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Loop
 from scipy.linalg import expm
 from source_controllers import angle_controller
 
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.loop.margin.margins import margins
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.source import EQUILIBRIA
@@ -23,7 +23,7 @@ def nyquist(lin, controllers):
     P = lin.response(F)
     out = []
     for k, controller in enumerate(controllers):
-        frf = FRF(F, P[:, k : k + 1, k : k + 1], np.zeros((F.size, 1, 1)), F > 0.0, ("z",), ("y",), "linearisation")
+        frf = ls.FRF(F, P[:, k : k + 1, k : k + 1], np.zeros((F.size, 1, 1)), F > 0.0, ("z",), ("y",), "linearisation")
         out.append(margins(Loop(frf, controller, integrators=1, unstable_poles=0)).stable)
     return out
 

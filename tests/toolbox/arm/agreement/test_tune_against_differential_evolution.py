@@ -5,23 +5,24 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from scipy.optimize import differential_evolution
 
-from loopshape.data.control.controller import Block, Controller
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
-from loopshape.design.tune import tune
 from loopshape.loop.verdict import loops_of
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
 from tune_workload import frfs, requirements
+
+import loopshape as ls
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.hour)])
 def test_tune_reaches_97_percent_of_a_global_search(seed: int) -> None:
     plants, limits = [f for k, f in enumerate(frfs(120)) if k % 4 == 0], requirements()
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     p = problem(loops_of(plants, unit, limits)[0], limits, 1000.0)
 
     def cost(x: np.ndarray) -> float:
@@ -30,6 +31,6 @@ def test_tune_reaches_97_percent_of_a_global_search(seed: int) -> None:
 
     bounds = list(zip(p.low, p.high, strict=True))
     found = differential_evolution(cost, bounds, seed=seed, maxiter=120, popsize=10, tol=1e-8, polish=False)
-    ours = tune(plants, limits, seed=seed)
+    ours = ls.tune(plants, limits, seed=seed)
     assert ours.feasible
     assert ours.bandwidth_hz >= 0.97 * np.exp(-found.fun)

@@ -13,6 +13,7 @@ import typer
 from commands import loopshape
 from typer.testing import CliRunner
 
+import loopshape as ls
 from loopshape.cli.main import app
 
 ROOT = Path(__file__).parents[4]
@@ -328,7 +329,6 @@ def test_a_saturated_pwm_is_said(tmp_path: Path) -> None:
 
 
 def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
-    from loopshape.core.errors import WrongUseError
     from loopshape.io.held import alone, held
 
     holds = (
@@ -339,10 +339,10 @@ def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None
         assert other.stdout.readline() == "held\n"
-        with pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+        with pytest.raises(ls.errors.WrongUseError, match="another process is writing"), alone(tmp_path):
             pass
         other.communicate("")
     with alone(tmp_path), held(tmp_path):  # a step of writing within the hold that this process has
         pass
-    with alone(tmp_path), pytest.raises(WrongUseError, match="another process is writing"), alone(tmp_path):
+    with alone(tmp_path), pytest.raises(ls.errors.WrongUseError, match="another process is writing"), alone(tmp_path):
         pass

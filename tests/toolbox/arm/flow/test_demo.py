@@ -4,15 +4,13 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
-
-from loopshape.cli.main import app
+from commands import invoked
 
 
 @pytest.mark.long
 @pytest.mark.timeout(1800)
 def test_the_demo_passes_and_draws_every_figure_it_names(tmp_path):
-    done = CliRunner().invoke(app, ["demo", "--out", str(tmp_path), "--json"])
+    done = invoked(["demo", "--out", str(tmp_path), "--json"])
     assert done.exit_code == 0, done.output[-3000:]
     told = json.loads(done.stdout.splitlines()[-1])
     assert told["passed"] is True

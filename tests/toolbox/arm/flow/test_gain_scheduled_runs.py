@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 
 STUDY = """
 format = "loopshape-study/1"
@@ -43,7 +42,7 @@ def test_it_is_read_as_it_was_written(tmp_path: Path):
     (back,) = ls.schedules.read_gain_scheduled(ls.write(C, tmp_path / "controller.toml"))
     assert (back.loop, back.variables, back.lag_s) == (C.loop, C.variables, C.lag_s)
     np.testing.assert_array_equal(back.coefficients, C.coefficients)
-    with pytest.raises(WrongUseError, match="holds a schedule"):
+    with pytest.raises(ls.errors.WrongUseError, match="holds a schedule"):
         ls.read_controllers(tmp_path / "controller.toml")
 
 
@@ -103,13 +102,13 @@ def test_each_operating_point_is_checked_under_the_controller_that_runs_there():
 def test_what_cannot_be_a_schedule_is_refused():
     points = [{"p_ab_bar": 0.8}, {"p_ab_bar": 1.4}]
     other = ls.controller(ls.gain(1.0), rate_hz=1000.0, loop="theta2")
-    with pytest.raises(WrongUseError, match="one structure"):
+    with pytest.raises(ls.errors.WrongUseError, match="one structure"):
         ls.schedules.gain_scheduled([node(1.0), other], points, {"p_ab_bar": "p_ab"})
-    with pytest.raises(WrongUseError, match="fill a grid"):
+    with pytest.raises(ls.errors.WrongUseError, match="fill a grid"):
         ls.schedules.gain_scheduled(
             [other] * 3, [{"a": 0, "b": 0}, {"a": 1, "b": 0}, {"a": 0, "b": 1}], {"a": "a", "b": "b"}
         )
-    with pytest.raises(WrongUseError, match="changes its sign"):
+    with pytest.raises(ls.errors.WrongUseError, match="changes its sign"):
         ls.schedules.gain_scheduled([node(1.0), node(-1.0)], points, {"p_ab_bar": "p_ab"})
-    with pytest.raises(WrongUseError, match="names its variables"):
+    with pytest.raises(ls.errors.WrongUseError, match="names its variables"):
         schedule(2.0, 1.0).at({"theta2_deg": 0.0})

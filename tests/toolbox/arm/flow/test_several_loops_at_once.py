@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm2_cases import QUIET
+from run_files import check_recordings, start_run
+from simulated_machines import header, measure, plan, read_study
 
-from loopshape.core.errors import WrongUseError
-from loopshape.io.run.run_folder import check_recordings, read_run, start_run, write_run
+import loopshape as ls
 from loopshape.toolbox.rig import registry
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import header, measure, plan
 
 RATE_HZ = 1000.0
 LEAD, RAMP, PERIOD, PERIODS = 1000, 1000, 4000, 4  # samples
@@ -79,8 +78,8 @@ def test_the_run_folder_keeps_them(both, tmp_path):
     made, plant, recordings = both
     folder = tmp_path / "run"
     start_run(folder, header(made, plant))
-    write_run(folder, replace(header(made, plant), recordings=recordings))
-    back = read_run(folder)
+    ls.write(replace(header(made, plant), recordings=recordings), folder)
+    back = ls.read(folder)
     assert [r.info for r in back.recordings] == [r.info for r in recordings]
     for mine, theirs in zip(recordings, back.recordings, strict=True):
         for name in mine.columns:
@@ -137,12 +136,16 @@ def test_references_of_two_loops_move_at_once(tmp_path):
 def test_every_loop_s_unit_is_held_against_its_place(tmp_path, loop, column):
     line = next(row for row in BOTH.splitlines() if row.startswith(loop))
     text = BOTH.replace(line, line.replace("amplitude_v", "amplitude_deg"))
-    with pytest.raises(WrongUseError, match=f"'both-s1' moves {column} in another unit; received rad; give it in V"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=f"'both-s1' moves {column} in another unit; received rad; give it in V"
+    ):
         plan(*study(tmp_path, text))
 
 
 def test_every_loop_must_be_the_plant_s(tmp_path):
-    with pytest.raises(WrongUseError, match="'both-s1' names a loop that arm-2dof does not have; received 'theta3'"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match="'both-s1' names a loop that arm-2dof does not have; received 'theta3'"
+    ):
         plan(*study(tmp_path, BOTH.replace("theta2 =", "theta3 =")))
 
 

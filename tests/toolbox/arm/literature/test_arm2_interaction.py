@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, numbers, point
+from simulated_machines import experiment, header, plan, read_study
 
-from loopshape.identify.matrix.interaction import interaction
+import loopshape as ls
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
 from loopshape.toolbox.arm.dynamics.linear2 import DECOUPLING, OUTPUTS, linearise2
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[4] / "experiments" / "arm2_interaction"
 sys.path.insert(0, str(STUDY))
@@ -82,7 +81,7 @@ def test_the_arm_is_decoupled_to_1_6_hz_and_not_to_4_hz(asked):
     run, one_at_a_time, _ = asked
     bands = ((1.0, 1.6), (1.6, 2.8), (2.8, 4.0))
     frf = estimate_matrix(run, ARM.simulate(one_at_a_time))
-    found = interaction(frf, ANGLES, bands=bands)
+    found = ls.interaction(frf, ANGLES, bands=bands)
     assert [v.verdict for v in found.verdicts] == ["decoupled", "coupled", "coupled"]
     assert found.verdicts[2].low_db > -12.0  # at 4 Hz, where the source reports less than -20 dB
     k, f = found.coefficients[0], frf.frequency_hz

@@ -5,10 +5,10 @@ A tolerance is half a unit of the last digit that the source prints.
 
 import numpy as np
 import pytest
+from bench_nouns import Loop
 from source_controllers import angle_controller, third_order_plant
 
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.loop.margin.margins import margins
 from loopshape.toolbox.arm import parameters as k
 from loopshape.toolbox.arm.dynamics.equilibrium import pressures
@@ -21,7 +21,7 @@ F = np.geomspace(0.01, 100.0, 6000)
 
 def loop_of(response, controller):
     covariance = np.zeros((F.size, 1, 1))
-    frf = FRF(F, response[:, None, None], covariance, F > 0.0, ("z_theta2_v",), ("theta2_rad",), "formula")
+    frf = ls.FRF(F, response[:, None, None], covariance, F > 0.0, ("z_theta2_v",), ("theta2_rad",), "formula")
     return Loop(frf, controller, integrators=1, unstable_poles=0)
 
 

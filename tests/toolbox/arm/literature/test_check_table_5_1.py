@@ -6,13 +6,11 @@ the margins are ARM.md's own, computed with two digits, hence the tolerances of 
 
 import numpy as np
 import pytest
+from bench_nouns import Loop
 from source_controllers import angle_controller, third_order_plant
 
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import check
 from loopshape.toolbox.arm.source import value
 
 RATE = 1000.0
@@ -22,7 +20,7 @@ TABLE_5_1 = angle_controller()
 def arm_frf(delay_s=0.0):
     f = np.geomspace(0.1, 100.0, 8000)
     G = third_order_plant("figure_4_12", delay_s).response(f)
-    return FRF(
+    return ls.FRF(
         f, G[:, None, None], 1e-12 * np.abs(G[:, None, None]) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",),
         ("theta2_rad",), "exact", recording=f"delay {delay_s}", rate_hz=RATE,
     )  # fmt: skip
@@ -41,7 +39,7 @@ def test_margins_of_the_published_pair(delay_s, phase_deg, gain_db, peak_db):
 
 
 def test_it_meets_the_sources_requirements_with_and_without_the_delay():
-    wished = Requirements(
+    wished = ls.Requirements(
         "theta2",
         sensitivity_peak_db=value("required.sensitivity"),
         phase_margin_deg=value("required.phase_margin"),
@@ -50,6 +48,6 @@ def test_it_meets_the_sources_requirements_with_and_without_the_delay():
         integrators=1,
         unstable_poles=0,
     )
-    verdict = check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, wished)
+    verdict = ls.check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, wished)
     assert verdict.passed
     assert {line.recording for line in verdict.lines} - {"delay 0.0"} == {"delay 0.0055"}  # the delayed one is worse

@@ -8,14 +8,14 @@ import numpy as np
 from arm2_cases import MIDDLE, numbers
 from interaction_nouns import matrix_frf
 
-from loopshape.identify.matrix.interaction import interaction
+import loopshape as ls
 from loopshape.toolbox.arm.dynamics.linear2 import linearise2
 
 
 def test_the_angles_of_the_arm_are_decoupled_to_1_hz_and_coupled_beyond():
     f = np.arange(1, 101) * 0.05
     P = linearise2(numbers(), *MIDDLE).response(f)[:, :2, :2]
-    found = interaction(matrix_frf(P, f=f, error=0.02, seed=1), bands=((0.1, 1.0), (2.0, 2.2), (3.9, 4.1)))
+    found = ls.interaction(matrix_frf(P, f=f, error=0.02, seed=1), bands=((0.1, 1.0), (2.0, 2.2), (3.9, 4.1)))
     low, mode, high = found.verdicts
     assert (low.verdict, mode.verdict, high.verdict) == ("decoupled", "coupled", "coupled")
     assert low.high_db < -42.0

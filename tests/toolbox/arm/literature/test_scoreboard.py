@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from loopshape.core.errors import UnreadableInputError, WrongUseError
+import loopshape as ls
 from loopshape.toolbox.arm import source
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -114,7 +114,9 @@ def test_half_a_digit_is_what_rounding_leaves_open(printed, half):
 
 
 def test_an_unknown_number_is_refused_with_those_beside_it():
-    with pytest.raises(WrongUseError, match=r"no such number; received table_5_1\.beta; one of table_5_1\.gain"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"no such number; received table_5_1\.beta; one of table_5_1\.gain"
+    ):
         source.number("table_5_1.beta")
 
 
@@ -122,8 +124,8 @@ def test_scores_with_other_columns_or_an_unknown_verdict_are_refused(tmp_path):
     path = tmp_path / "a" / "scores.csv"
     path.parent.mkdir()
     path.write_text("item,verdict\nfigure 3.3,agrees\n")
-    with pytest.raises(UnreadableInputError, match="other columns"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="other columns"):
         list(board.scores(tmp_path))
     path.write_text("item,quantity,source,ours,verdict,why\nfigure 3.3,a,b,c,maybe,\n")
-    with pytest.raises(UnreadableInputError, match="no known verdict"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="no known verdict"):
         list(board.scores(tmp_path))

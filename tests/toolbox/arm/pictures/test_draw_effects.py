@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.toolbox.arm.effects_page import effects_page
 from loopshape.toolbox.gap.nouns.effect import EffectForm, Free
 from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet, FrfChange, TimeChange
@@ -87,5 +87,5 @@ def test_it_prints():
 
 
 def test_a_page_without_sheets_is_refused():
-    with pytest.raises(WrongUseError, match="a page of effects needs a sheet"):
+    with pytest.raises(ls.errors.WrongUseError, match="a page of effects needs a sheet"):
         effects_page([])

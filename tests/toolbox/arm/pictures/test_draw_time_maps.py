@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import picture_nouns as nouns
 import pytest
+from conversions import deg
 from matplotlib.axes import Axes
 from matplotlib.contour import ContourSet
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import deg
+import loopshape as ls
 from loopshape.toolbox.arm import equilibria_pictures as equilibria
 from loopshape.toolbox.rig import pictures as time
 from loopshape.view.plots import fits
@@ -135,5 +135,5 @@ def test_fits_without_operating_points_stand_by_recording() -> None:
 
 
 def test_a_map_without_fits_is_refused() -> None:
-    with pytest.raises(WrongUseError, match="needs fits"):
+    with pytest.raises(ls.errors.WrongUseError, match="needs fits"):
         fits.parameter_map([], "kappa")

@@ -4,8 +4,9 @@ import re
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 from loopshape.toolbox.arm.dynamics import closed_loop
 from loopshape.toolbox.arm.parameters import Sensors
 
@@ -22,7 +23,7 @@ def source_controllers(arm):
         Block("notch", {"f1_hz": 6.1, "f2_hz": 6.1, "damping1": 0.05, "damping2": 5.0}),
         Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7}),
     )
-    return Controller("theta2", blocks, 1000.0), arm.default_controllers(1000.0)[1]
+    return ls.Controller("theta2", blocks, 1000.0), arm.default_controllers(1000.0)[1]
 
 
 def when_s(recording):

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from arm2_cases import experiment
+from bench_nouns import LoopSetup
 
 import loopshape as ls
-from loopshape.data.signal.experiment import LoopSetup
 from loopshape.toolbox.arm.arm2 import Arm2
 from loopshape.toolbox.arm.strategies2 import DUAL, PAIRS
 

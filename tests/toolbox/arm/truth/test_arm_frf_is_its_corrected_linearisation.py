@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from arm_sweep import command_amplitude, expected_angle_response
+from simulated_machines import experiment, header, plan, read_study
 
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.toolbox.arm.dynamics.linear import linearise
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import experiment, header, plan
 
 STUDY = Path(__file__).parents[4] / "experiments" / "arm_against_linearisation" / "slow_pressure.toml"
 

@@ -7,29 +7,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
 from source_controllers import angle_controller
 
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.settle import settle
-from loopshape.design.tune import tune
-from loopshape.loop.verdict import check, loops_of, verdict_on
+from loopshape.loop.verdict import loops_of, verdict_on
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
 from tune_workload import frfs as arm_frfs
 from tune_workload import requirements as arm_requirements
 
+import loopshape as ls
 
-def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz: float = 100.0) -> FRF:
+
+def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz: float = 100.0) -> ls.FRF:
     f = np.geomspace(0.05, high_hz, lines)
     G = model.response(f)
-    return FRF(
+    return ls.FRF(
         frequency_hz=f,
         response=G[:, None, None],
         covariance=np.full((lines, 1, 1), 1e-20 + 0j),
@@ -43,20 +40,20 @@ def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz:
     )
 
 
-def wished(**limits: object) -> Requirements:
+def wished(**limits: object) -> ls.Requirements:
     table = {
         "name": "one",
         "integrators": 1,
         "unstable_poles": 0,
         "structure": [{"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}],
     }
-    return Requirements.from_table(table | limits)
+    return ls.Requirements.from_table(table | limits)
 
 
 def test_a_gain_for_an_integrator_with_delay_has_its_textbook_value() -> None:
     # k exp(-s d)/s: the phase at crossover w is -90 deg - w d, so 45 deg of margin allow w = (pi/4)/d
     delay = 0.02
-    found = tune([plant(TransferFunction([2.0], [1.0, 0.0], delay), 2000)], wished(phase_margin_deg=45.0))
+    found = ls.tune([plant(TransferFunction([2.0], [1.0, 0.0], delay), 2000)], wished(phase_margin_deg=45.0))
     crossover = 0.25 * np.pi / delay
     assert found.feasible
     assert found.bandwidth_hz == pytest.approx(crossover / (2.0 * np.pi), rel=1e-3)
@@ -68,7 +65,7 @@ def test_the_gain_margin_binds_where_it_should() -> None:
     # k/(s (s/w + 1)^2): gain margin 2 w/k, so 6.0206 dB ask for k = w
     w = 2.0 * np.pi * 5.0
     model = TransferFunction([1.0], np.polymul([1.0, 0.0], np.polymul([1 / w, 1.0], [1 / w, 1.0])))
-    found = tune([plant(model, 3000)], wished(gain_margin_db=6.020599913))
+    found = ls.tune([plant(model, 3000)], wished(gain_margin_db=6.020599913))
     assert found.controller.blocks[0].parameters["gain"] == pytest.approx(w, rel=1e-3)
 
 
@@ -77,7 +74,7 @@ def test_the_worst_of_several_plants_decides() -> None:
     plants = [
         plant(TransferFunction([k], [1.0, 0.0], d), 1000, f"d{d}") for k, d in zip((1.0, 2.0, 1.0), delays, strict=True)
     ]
-    found = tune(plants, wished(phase_margin_deg=60.0))
+    found = ls.tune(plants, wished(phase_margin_deg=60.0))
     # phase margin 60 deg at w d = pi/6; gains 1, 2, 1: the second one binds with the smallest gain
     gain = np.pi / 6.0 / 0.02 / 2.0
     assert found.controller.blocks[0].parameters["gain"] == pytest.approx(gain, rel=1e-3)
@@ -86,7 +83,7 @@ def test_the_worst_of_several_plants_decides() -> None:
 
 def test_slopes_of_bandwidths_and_rooms_are_exact() -> None:
     plants, limits = arm_frfs(200), arm_requirements()
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     loops, _ = loops_of(plants, unit, limits)
     p = problem(loops, limits, 1000.0)
     x = np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55])
@@ -106,12 +103,12 @@ def test_slopes_of_bandwidths_and_rooms_are_exact() -> None:
 @pytest.fixture(scope="module")
 def tuned():
     plants, limits = arm_frfs(200), arm_requirements()
-    return plants, limits, tune(plants, limits, seed=0)
+    return plants, limits, ls.tune(plants, limits, seed=0)
 
 
 def test_every_limit_holds_at_all_24_equilibria(tuned) -> None:
     plants, limits, found = tuned
-    verdict = check(plants, found.controller, limits)
+    verdict = ls.check(plants, found.controller, limits)
     assert verdict.passed
     assert found.feasible
     assert len(verdict.margins) == 24
@@ -131,21 +128,21 @@ def test_what_binds_has_no_room_left(tuned) -> None:
 @pytest.mark.long
 def test_same_seed_same_controller_to_the_last_bit(tuned) -> None:
     plants, limits, found = tuned
-    again = tune(plants, limits, seed=0)
+    again = ls.tune(plants, limits, seed=0)
     assert [b.parameters for b in again.controller.blocks] == [b.parameters for b in found.controller.blocks]
 
 
 @pytest.mark.long
 def test_another_seed_comes_within_two_percent(tuned) -> None:
     plants, limits, found = tuned
-    other = tune(plants, limits, seed=5)
+    other = ls.tune(plants, limits, seed=5)
     assert other.bandwidth_hz == pytest.approx(found.bandwidth_hz, rel=0.02)
 
 
 def test_no_small_change_of_the_result_is_better(tuned) -> None:
     """A local optimum by definition: random nearby controllers either break a limit or are slower."""
     plants, limits, found = tuned
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     p = problem(loops_of(plants, unit, limits)[0], limits, 1000.0)
     x = np.log([found.controller.blocks[v.block].parameters[v.name] for v in p.variables])
     best = measure(p, x, {}).ln_bandwidth.min()
@@ -161,29 +158,31 @@ def test_no_small_change_of_the_result_is_better(tuned) -> None:
 def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
     """At least 1.3 times the lowest bandwidth of the source's controller, with at most twice its peak |CS|."""
     plants, _, _ = tuned
-    bare = Requirements(
+    bare = ls.Requirements(
         "theta2", sensitivity_peak_db=6.0, phase_margin_deg=45.0, gain_margin_db=5.0, integrators=1, unstable_poles=0
     )
 
-    def source(gain: float) -> Controller:
+    def source(gain: float) -> ls.Controller:
         return angle_controller(gain, notch_hz=4.5)
 
     low, high = 0.5, 55.0
     for _ in range(25):
         gain = float(np.sqrt(low * high))
-        low, high = (gain, high) if check(plants, source(gain), bare).passed else (low, gain)
-    verdict = check(plants, source(low), bare)
+        low, high = (gain, high) if ls.check(plants, source(gain), bare).passed else (low, gain)
+    verdict = ls.check(plants, source(low), bare)
     assert verdict.passed
     slowest = min(m.bandwidth_hz for m in verdict.margins.values())
     peak = max(m.control_peak_db for m in verdict.margins.values())
-    found = tune(plants, arm_requirements(peak + 6.02))
+    found = ls.tune(plants, arm_requirements(peak + 6.02))
     assert found.feasible
     assert max(m.control_peak_db for m in found.verdict.margins.values()) <= peak + 6.03
     assert found.bandwidth_hz >= 1.3 * slowest
 
 
 def test_limits_that_cannot_hold_say_what_they_miss() -> None:
-    found = tune([plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], wished(phase_margin_deg=45.0, bandwidth_hz=20.0))
+    found = ls.tune(
+        [plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], wished(phase_margin_deg=45.0, bandwidth_hz=20.0)
+    )
     assert not found.feasible
     assert not found.verdict.passed
     assert {line.quantity for line in found.verdict.lines if not line.passed}
@@ -201,13 +200,13 @@ def test_tied_and_fixed_parameters_stay_so(tuned) -> None:
             {"kind": "low_pass", "order": 1, "f_hz": 30.0},
         ],
     )
-    block = tune([plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], fixed).controller.blocks[1]
+    block = ls.tune([plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], fixed).controller.blocks[1]
     assert block.parameters["f_hz"] == 30.0
 
 
 def test_an_integral_controller_is_tuned_stably() -> None:
     model = TransferFunction([3.0], [0.1, 1.0], 0.01)
-    limits = Requirements.from_table(
+    limits = ls.Requirements.from_table(
         {
             "name": "one",
             "integrators": 0,
@@ -220,7 +219,7 @@ def test_an_integral_controller_is_tuned_stably() -> None:
             ],
         }
     )
-    found = tune([plant(model, 800)], limits)
+    found = ls.tune([plant(model, 800)], limits)
     assert found.feasible
     assert all(m.stable == "stable" for m in found.verdict.margins.values())
     assert found.bandwidth_hz > 3.0
@@ -231,18 +230,20 @@ def test_l_that_only_touches_one_at_the_first_frequency_does_not_do(size: float,
     # a little less, as a search may leave it, and `check` has no crossover to count from
     limits = wished(integrators=0, phase_margin_deg=45.0)
     frf = plant(TransferFunction([1.0], np.polymul([0.1, 1.0], [0.2, 1.0])))
-    p = problem(loops_of([frf], Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4)
+    p = problem(
+        loops_of([frf], ls.Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4
+    )
     assert (measure(p, np.log([size / abs(frf.siso[0])]), {}).worst >= 0.0) is holds
 
 
 def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
     plants, limits = arm_frfs(100), arm_requirements()
-    unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
+    unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
     loops, _ = loops_of(plants, unit, limits)
     p = problem(loops, limits, 1000.0)
     read = np.zeros(24, dtype=int)
 
-    def judge(controller: Controller, points: Sequence[int] | None = None) -> Verdict:
+    def judge(controller: ls.Controller, points: Sequence[int] | None = None) -> ls.Verdict:
         chosen = list(range(24) if points is None else points)
         read[chosen] += 1
         named = {plants[k].recording: replace(loops[k], controller=controller) for k in chosen}
@@ -264,7 +265,7 @@ def test_a_limit_that_binds_beyond_the_last_frequency_alone_is_settled() -> None
         {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}},
         {"kind": "lead_lag", "f1_hz": 20.0, "f2_hz": {"min": 200.0, "max": 4000.0}},
     ]
-    found = tune([noisy], wished(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
+    found = ls.tune([noisy], wished(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
     assert found.verdict.passed
     assert {b.quantity for b in found.binding} == {"bandwidth_hz", "control_peak_db"}
     peak = next(iter(found.verdict.margins.values()))

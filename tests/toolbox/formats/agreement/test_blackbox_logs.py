@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from run_files import CsvShape
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.io.csv_text import CsvShape
+import loopshape as ls
 from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
 from loopshape.toolbox.formats.logs.blackbox import _Bytes, _four, _three, read_blackbox
 from loopshape.toolbox.formats.tables.import_file import import_file
@@ -156,7 +156,7 @@ def test_lost_bytes_cost_their_frames_alone(tmp_path):
 def test_what_holds_no_frames_is_refused(tmp_path):
     for content in (b"", b"no log", log_of(frames())[0][:300], b"H Product:Blackbox flight\nH Field I name:a\nI"):
         (tmp_path / "a.bbl").write_bytes(content)
-        with pytest.raises(LoopshapeError, match="blackbox log"):
+        with pytest.raises(ls.LoopshapeError, match="blackbox log"):
             open_source(tmp_path / "a.bbl", CsvShape())
 
 
@@ -173,7 +173,7 @@ def test_headers_by_which_no_frame_can_be_read_are_refused(old, new, tmp_path):
     data = log_of(frames()[:100])[0]
     assert old in data
     (tmp_path / "a.bbl").write_bytes(data.replace(old, new, 1))
-    with pytest.raises(LoopshapeError, match="blackbox log"):
+    with pytest.raises(ls.LoopshapeError, match="blackbox log"):
         read_blackbox(tmp_path / "a.bbl")
 
 
@@ -189,7 +189,7 @@ def test_a_damaged_header_ends_in_a_sentence_or_in_signals_of_one_length(tmp_pat
         try:
             found = read_blackbox(tmp_path / "a.bbl")
             assert len({values.shape for values in found.values()}) == 1
-        except LoopshapeError:
+        except ls.LoopshapeError:
             refused += 1
     assert 0 < refused < 150
 

@@ -8,9 +8,10 @@ import subprocess
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Precision, step
 from exported_controllers import RATE_HZ, cases, inputs
 
-from loopshape.data.control.controller import Block, Controller, Precision, step
+import loopshape as ls
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 from loopshape.toolbox.formats.controllers.controller_words import identifier
 
@@ -115,8 +116,8 @@ def test_each_header_stands_alone_in_c_and_cplusplus(tmp_path, name):
 
 
 def test_coefficients_at_the_ends_of_int32(tmp_path):
-    ends = Controller("ends", (Block("gain", {"gain": -2.0}), Block("gain", {"gain": 2.0 - 2.0**-30})), 1.0)
-    ends = Controller(ends.loop, ends.blocks, 1.0, precision="q2.30")
+    ends = ls.Controller("ends", (Block("gain", {"gain": -2.0}), Block("gain", {"gain": 2.0 - 2.0**-30})), 1.0)
+    ends = ls.Controller(ends.loop, ends.blocks, 1.0, precision="q2.30")
     (path,) = export_controllers(tmp_path, [ends], "c")
     text = _MAIN.format(
         includes=f'#include "{path.name}"', branches=_BRANCH.format(name="controller_ends", kind="int32_t")
@@ -159,7 +160,7 @@ def test_step_has_the_response_that_is_checked(name):
 
 
 def test_a_fixed_point_integrator_loses_nothing():
-    pi = Controller("pi", (Block("pi", {"f_hz": 0.01}),), 1000.0, precision="q2.30")
+    pi = ls.Controller("pi", (Block("pi", {"f_hz": 0.01}),), 1000.0, precision="q2.30")
     answer = step(pi, np.ones(200_000, dtype=np.int64))
     # one unit, held for 200 s, through (s + w)/s: 1 + 2 pi 0.01 200; a rounded output alone would stay at 1
     assert abs(answer[-1] - (1.0 + 2.0 * np.pi * 0.01 * 200.0)) <= 1.0

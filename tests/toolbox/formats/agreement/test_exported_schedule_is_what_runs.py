@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Follows
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import scheduled
-from loopshape.data.control.gain_scheduled import Follows
 
 DRIVER = """
 #include "controller_theta.h"
@@ -75,5 +74,5 @@ def test_the_json_has_all_that_is_needed(moving, tmp_path: Path):
 
 
 def test_a_format_without_schedules_is_refused(moving, tmp_path: Path):
-    with pytest.raises(WrongUseError, match="not written in every format"):
+    with pytest.raises(ls.errors.WrongUseError, match="not written in every format"):
         ls.formats.export(moving[0], tmp_path, "matlab")

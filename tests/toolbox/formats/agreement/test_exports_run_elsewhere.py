@@ -7,11 +7,10 @@ from itertools import pairwise
 import h5py
 import numpy as np
 import pytest
+from bench_nouns import step
 from scipy.signal import sosfilt
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.data.control.controller import step
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 from loopshape.toolbox.formats.frf.frf_exchange import export_frfs, read_frf_file
 
@@ -88,7 +87,7 @@ def test_foton_s_filter_is_the_controller(tmp_path):
 def test_what_foton_cannot_hold_is_refused(tmp_path):
     many = ls.controller(*[ls.lead_lag(1.0, 2.0)] * 11, rate_hz=1000.0, loop="x")
     for one in (many, ls.controller(ls.gain(1.0), rate_hz=0.5, loop="x")):
-        with pytest.raises(WrongUseError, match="foton"):
+        with pytest.raises(ls.errors.WrongUseError, match="foton"):
             exported(one, "foton", tmp_path)
 
 
@@ -141,11 +140,11 @@ def test_hdf5_of_others_and_damaged_files(tmp_path):
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         file["frequency_hz"], file["response"] = F, np.ones((3, 1, 1), complex)
-    with pytest.raises(LoopshapeError, match="relative-std"):
+    with pytest.raises(ls.LoopshapeError, match="relative-std"):
         read_frf_file(path)
     with h5py.File(path, "w") as file:
         file["frequency_hz"], file["response"] = F, h5py.ExternalLink("other.h5", "x")
-    with pytest.raises(UnreadableInputError):
+    with pytest.raises(ls.errors.UnreadableInputError):
         read_frf_file(path)
     export_frfs([made()], "hdf5", tmp_path)
     (path,) = tmp_path.glob("all*.h5")
@@ -158,5 +157,5 @@ def test_hdf5_of_others_and_damaged_files(tmp_path):
         path.write_bytes(bytes(content))
         try:
             read_frf_file(path)
-        except LoopshapeError:
+        except ls.LoopshapeError:
             continue

@@ -10,12 +10,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from run_files import CsvShape
 from scipy.io import savemat
 from scipy.stats import f as f_distribution
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.sources import Place, open_source
@@ -74,7 +73,7 @@ def test_json_of_arrays_and_of_rows(tmp_path):
     np.testing.assert_array_equal(signal(tmp_path / "b.json", "rows.x"), X)
     for text, word in (("{", "cannot be read as JSON"), ('{"a": "b"}', "no list of numbers"), ("[" * 10**5, "JSON")):
         (tmp_path / "c.json").write_text(text)
-        with pytest.raises(UnreadableInputError, match=word):
+        with pytest.raises(ls.errors.UnreadableInputError, match=word):
             signal(tmp_path / "c.json", "a")
 
 
@@ -90,7 +89,7 @@ def test_wav_of_every_width_is_a_share_of_full_scale(width, tmp_path):
     np.testing.assert_array_equal(signal(tmp_path / "a.wav", "channel 2"), whole[:, 1] / 2.0 ** (8 * width - 1))
     assert draft_map(tmp_path / "a.wav").rate_hz == 50.0
     (tmp_path / "b.wav").write_bytes((tmp_path / "a.wav").read_bytes()[:100])
-    with pytest.raises(UnreadableInputError, match="WAV"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="WAV"):
         signal(tmp_path / "b.wav", "channel 1")
 
 
@@ -109,7 +108,7 @@ def test_tdms_as_nptdms_writes_it(tmp_path):
     np.testing.assert_array_equal(signal(tmp_path / "a.tdms", "axis/drive"), (1000 * U).astype(np.int16))
     assert draft_map(tmp_path / "a.tdms").rate_hz == 50.0
     (tmp_path / "b.tdms").write_bytes(b"TDSm" + bytes(60))
-    with pytest.raises(LoopshapeError, match=r"TDMS|no signals"):
+    with pytest.raises(ls.LoopshapeError, match=r"TDMS|no signals"):
         draft_map(tmp_path / "b.tdms")
 
 
@@ -147,7 +146,7 @@ def test_a_ulog_as_pyulog_reads_it(tmp_path):
     stamps = signal(file, "time of vehicle_angular_velocity")
     np.testing.assert_allclose(np.diff(stamps), 1e-6 * np.diff(topic["timestamp"].astype(float)), atol=1e-9)
     (tmp_path / "a.ulg").write_bytes(file.read_bytes()[:10])
-    with pytest.raises(UnreadableInputError, match="ULog"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="ULog"):
         signal(tmp_path / "a.ulg", "x")
 
 
@@ -194,7 +193,7 @@ def test_xml_that_is_no_diagnostics_file_or_grows_is_refused(tmp_path):
     bomb = '<!DOCTYPE x [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><LIGO_LW>&b;</LIGO_LW>'
     for text, word in ((bomb, "entities"), ("<html/>", "LIGO_LW"), ("<LIGO_LW>", "XML"), ("<LIGO_LW/>", "excitation")):
         (tmp_path / "a.xml").write_text(text)
-        with pytest.raises(UnreadableInputError, match=word):
+        with pytest.raises(ls.errors.UnreadableInputError, match=word):
             ls.formats.read_frf(tmp_path / "a.xml")
 
 

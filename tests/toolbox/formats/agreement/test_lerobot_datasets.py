@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from run_files import CsvShape
 
-from loopshape.core.errors import BadSignalError, LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.io.csv_text import CsvShape
+import loopshape as ls
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.sources import Place, open_source
@@ -125,15 +125,15 @@ def test_several_episodes_in_a_file_are_a_recording_each(tmp_path):
         np.testing.assert_allclose(recording.column("pan_command_rad"), expected, rtol=1e-6, atol=1e-7)
     some = mapped(tmp_path, file, 'episodes = [2]\nrole = "validation"\n')
     assert [(r.info.file, r.info.role) for r in some.recordings] == [("file-000-episode-2.parquet", "validation")]
-    with pytest.raises(WrongUseError, match="it holds 0, 1, 2"):
+    with pytest.raises(ls.errors.WrongUseError, match="it holds 0, 1, 2"):
         mapped(tmp_path, file, "episodes = [3]\n")
 
 
 def test_the_key_episodes_is_of_files_that_hold_several(tmp_path):
     file = write(tmp_path, "v2.1")[0]
-    with pytest.raises(WrongUseError, match="one recording"):
+    with pytest.raises(ls.errors.WrongUseError, match="one recording"):
         mapped(tmp_path, file, "episodes = [0]\n")
-    with pytest.raises(WrongUseError, match="whole numbers"):
+    with pytest.raises(ls.errors.WrongUseError, match="whole numbers"):
         mapped(tmp_path, file, "episodes = [0.5]\n")
 
 
@@ -155,16 +155,16 @@ def test_episodes_in_pieces_and_lists_that_differ_are_refused(tmp_path):
 
     lists = pa.array([[1.0, 2.0], [3.0], [4.0, 5.0, 6.0]])
     pq.write_table(pa.table({"x": lists, "y": [1.0, 2.0, 3.0]}), tmp_path / "a.parquet")
-    with pytest.raises(UnreadableInputError, match="differ in length"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="differ in length"):
         signal(tmp_path / "a.parquet", "x[0]")
     pq.write_table(pa.table({"x": lists[:2], "y": [1.0, 2.0]}), tmp_path / "b.parquet")
     assert open_source(tmp_path / "b.parquet", CsvShape()).names == ("x", "y")  # as before: a column not of numbers
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         signal(tmp_path / "b.parquet", "x")
     pq.write_table(pa.table({"x": pa.array([None, None], type=lists.type), "y": [1.0, 2.0]}), tmp_path / "d.parquet")
-    with pytest.raises(UnreadableInputError, match="differ in length"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="differ in length"):
         signal(tmp_path / "d.parquet", "x[0]")
     pairs = pa.array([[math.pi, 1.0]] * 3)
     pq.write_table(pa.table({"x": pairs, "episode_index": [0, 1, 0]}), tmp_path / "c.parquet")
-    with pytest.raises(BadSignalError, match="do not lie together"):
+    with pytest.raises(ls.errors.BadSignalError, match="do not lie together"):
         open_source(tmp_path / "c.parquet", CsvShape())

@@ -5,9 +5,9 @@ import struct
 
 import numpy as np
 import pytest
+from run_files import CsvShape
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.csv_text import CsvShape
+import loopshape as ls
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.sources import Place, open_source
@@ -235,11 +235,11 @@ def test_damaged_logs_of_messages_end_in_a_sentence(tmp_path, ending):
             source = open_source(path, CsvShape())
             for name in source.names:
                 source.signal(Place(name))
-        except LoopshapeError:
+        except ls.LoopshapeError:
             refused += 1
     assert refused > 8
     path.write_bytes(b"")
-    with pytest.raises(UnreadableInputError):
+    with pytest.raises(ls.errors.UnreadableInputError):
         open_source(path, CsvShape())
 
 
@@ -272,7 +272,7 @@ def test_a_codesys_trace_as_text_has_all_its_variables_and_asks_for_the_unit_of_
     for column, values in zip(draft.columns, (u, y), strict=True):
         np.testing.assert_array_equal(column.values, values)
     (tmp_path / "a.trace").write_text("<Trace/>")
-    with pytest.raises(UnreadableInputError, match=r"save the trace as text \(\.txt\)"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"save the trace as text \(\.txt\)"):
         draft_map(tmp_path / "a.trace")
 
 

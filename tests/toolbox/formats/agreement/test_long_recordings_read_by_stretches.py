@@ -3,21 +3,18 @@
 import h5py
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo, Settings
+from run_files import check_recordings, verify
 from scipy.signal import lfilter
 
+import loopshape as ls
 from loopshape.core import stretches
-from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
 from loopshape.core.stretches import LongSignal, extent
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.quality import faults
-from loopshape.identify.settings import Settings
 from loopshape.identify.spectra import transforms
 from loopshape.io.run import tables
-from loopshape.io.run.run_folder import check_recordings, holds, read_run, write_run
-from loopshape.io.run.verify import verify
+from loopshape.io.run.run_folder import holds
 from loopshape.toolbox.formats.tables import sources
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.spool import Spool
@@ -89,20 +86,20 @@ def imported(folder, name, ending, columns=None, text=MAP):
     folder.mkdir(exist_ok=True)
     (folder / "map.toml").write_text(text)
     run = import_file(written(folder, ending, columns or signals()), folder / "map.toml", folder)
-    write_run(folder / name, run)
+    ls.write(run, folder / name)
     assert holds(folder / name, run.recordings[0])
     return folder / name
 
 
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "parquet", "mat"])
 def test_import_and_frf(tmp_path, by_stretches, ending):
-    whole = read_run(imported(tmp_path, "whole", ending))
+    whole = ls.read(imported(tmp_path, "whole", ending))
     expected = estimate_frf(whole.recordings[0], whole.loop("axis"), WELCH)
     said = check_recordings(whole)
     columns = {name: whole.recordings[0].column(name) for name in whole.recordings[0].columns}
     by_stretches()
     folder = imported(tmp_path, "long", ending)
-    long = read_run(folder)
+    long = ls.read(folder)
     assert isinstance(long.recordings[0].signal("u_v"), LongSignal)
     for name, values in columns.items():
         np.testing.assert_array_equal(long.recordings[0].column(name), values)
@@ -116,7 +113,7 @@ def test_import_and_frf(tmp_path, by_stretches, ending):
 
 def test_noise_of_a_long_recording_is_estimated_by_segments(tmp_path, by_stretches):
     by_stretches()
-    run = read_run(imported(tmp_path, "long", "parquet"))
+    run = ls.read(imported(tmp_path, "long", "parquet"))
     assert "Welch" in estimate_frf(run.recordings[0], run.loop("axis")).method
     assert "local" in estimate_frf(run.recordings[0], run.loop("axis"), Settings(method="local")).method
 
@@ -130,10 +127,10 @@ def test_a_sweep_of_a_long_recording_is_estimated_as_one_that_is_held_whole(tmp_
     loop = LoopSetup("axis", None, "n_v", "u_v", "y_m", None)
     info = RecordingInfo("r.parquet", "sweep", "controller_input", excites="axis")
     columns = {"n_v": n, "u_v": n - 0.1 * y, "y_m": y}
-    write_run(tmp_path / "run", Run(RATE_HZ, (loop,), (Recording(info, RATE_HZ, columns),)))
+    ls.write(ls.Run(RATE_HZ, (loop,), (ls.Recording(info, RATE_HZ, columns),)), tmp_path / "run")
 
     def estimated():
-        return estimate_frf(read_run(tmp_path / "run").recordings[0], loop)
+        return estimate_frf(ls.read(tmp_path / "run").recordings[0], loop)
 
     held = estimated()
     by_stretches()
@@ -149,11 +146,11 @@ def test_a_value_that_is_no_number_is_named_by_its_row(tmp_path, by_stretches):
     by_stretches()
     columns = signals()
     columns["y"][12_345] = np.nan
-    with pytest.raises(BadSignalError, match="first in row 12346"):
+    with pytest.raises(ls.errors.BadSignalError, match="first in row 12346"):
         imported(tmp_path, "nan", "csv", columns)
     rows = (tmp_path / "r.csv").read_text().replace("nan", "broken")
     (tmp_path / "r.csv").write_text(rows)
-    with pytest.raises(UnreadableInputError, match="'broken' in row 12345"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="'broken' in row 12345"):
         import_file(tmp_path / "r.csv", tmp_path / "map.toml", tmp_path)
 
 
@@ -161,16 +158,16 @@ def test_lost_samples_and_missing_columns_are_refused(tmp_path, by_stretches):
     by_stretches()
     columns = signals()
     columns["t"] = columns["t"] + 0.05 * (np.arange(ROWS) > 9000)
-    with pytest.raises(BadSignalError, match="leave the rate of 1000 Hz at row 9001"):
+    with pytest.raises(ls.errors.BadSignalError, match="leave the rate of 1000 Hz at row 9001"):
         imported(tmp_path, "gap", "csv", columns)
-    with pytest.raises(WrongUseError, match="holds nothing of this name"):
+    with pytest.raises(ls.errors.WrongUseError, match="holds nothing of this name"):
         imported(tmp_path, "gone", "csv", {k: v for k, v in signals().items() if k != "u"})
 
 
 def test_rows_that_the_map_takes(tmp_path, by_stretches):
     by_stretches()
     text = MAP.replace("[recording]\n", "[recording]\nfrom_row = 5001\nto_row = 16000\n")
-    run = read_run(imported(tmp_path, "cut", "csv", text=text))
+    run = ls.read(imported(tmp_path, "cut", "csv", text=text))
     np.testing.assert_array_equal(run.recordings[0].column("n_v"), signals()["n"][5000:16_000])
 
 
@@ -179,7 +176,7 @@ def test_spikes_and_clipping_are_named_by_their_rows(tmp_path, by_stretches):
     columns["y"] = np.clip(columns["y"], -0.4, 0.4)
     columns["u"][[7000, 15_000]] += 50_000.0
     by_stretches()
-    said = check_recordings(read_run(imported(tmp_path, "faults", "csv", columns)))
+    said = check_recordings(ls.read(imported(tmp_path, "faults", "csv", columns)))
     assert any("spike" in s and "row 7000 " in s and "so in 2 of 5 stretches" in s for s in said)
     assert any("saturated?" in s and "so in 5 of 5 stretches" in s for s in said)
 

@@ -6,9 +6,9 @@ No file of MATLAB's own could be had here: the properties are those that MATLAB'
 import numpy as np
 import pandas as pd
 import pytest
+from run_files import CsvShape
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.io.csv_text import CsvShape
+import loopshape as ls
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
 from loopshape.toolbox.formats.tables.sources import Place, open_source
 
@@ -137,7 +137,7 @@ def test_records_of_simulink_s_own_are_refused_with_the_way_out(version, tmp_pat
     storage = thing("Simulink.SimulationData.Storage.MatFileDatasetStorage", {"Version": number(2)})
     saved[0, 0] = ("l", number(3), storage)
     file = written(tmp_path / "a.mat", {"logsout": thing(DATASET, {"any": saved})}, version)
-    with pytest.raises(LoopshapeError, match=r"Simulink's own records.*without -v7.3"):
+    with pytest.raises(ls.LoopshapeError, match=r"Simulink's own records.*without -v7.3"):
         open_source(file, CsvShape())
 
 
@@ -155,7 +155,7 @@ def test_a_damaged_file_is_read_or_refused_and_nothing_else(version, tmp_path):
             source = open_source(file, CsvShape())
             for name in source.names:
                 source.load(name)
-        except LoopshapeError:
+        except ls.LoopshapeError:
             refused += 1
     assert refused
 

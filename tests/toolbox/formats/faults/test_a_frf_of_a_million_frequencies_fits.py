@@ -5,12 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from memory_limit import in_a_child
 
 import loopshape as ls
-from loopshape.data.control.block import Block
-from loopshape.data.control.controller import Controller
-from loopshape.io.write.controllers import write_controllers
 from loopshape.loop.stability.sampling import scattered
 from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
 
@@ -48,7 +46,7 @@ def written(folder, n):
     names = {"loop": "axis", "recording": "r", "inputs": ("u_v",), "outputs": ("y_m",)}
     add_frfs(folder / "run", [ls.FRF.from_arrays(f, P, relative_std=0.0142, rate_hz=10_000.0, **names)])
     blocks = (Block("gain", {"gain": 5.0}), Block("lead_lag", {"f1_hz": 30.0, "f2_hz": 300.0}))
-    write_controllers(folder / "controller.toml", [Controller(loop="axis", rate_hz=10_000.0, blocks=blocks)])
+    ls.write(ls.Controller(loop="axis", rate_hz=10_000.0, blocks=blocks), folder / "controller.toml")
     (folder / "require.toml").write_text(REQUIREMENTS)
     return folder
 

@@ -5,15 +5,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
 from memory_limit import in_a_child
 from pyarrow.csv import WriteOptions, write_csv
 from scipy.signal import lfilter
 
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.io.run import tables
-from loopshape.io.run.run_folder import write_run
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
 
@@ -120,8 +118,8 @@ def swept(folder, rows, both_ways):
     n[rows // 2 :] = n[: rows - rows // 2][::-1] if both_ways else n[rows // 2 :]
     y = lfilter([0.0, 0.1], [1.0, -0.9], n) + 0.001 * np.random.default_rng(4).standard_normal(rows)
     info = RecordingInfo("r.parquet", "sweep", "controller_input", excites="axis")
-    recording = Recording(info, 1000.0, {"n_v": n, "u_v": n - 0.1 * y, "y_m": y})
-    write_run(folder, Run(1000.0, (LoopSetup("axis", None, "n_v", "u_v", "y_m", None),), (recording,)))
+    recording = ls.Recording(info, 1000.0, {"n_v": n, "u_v": n - 0.1 * y, "y_m": y})
+    ls.write(ls.Run(1000.0, (LoopSetup("axis", None, "n_v", "u_v", "y_m", None),), (recording,)), folder)
 
 
 @pytest.mark.long

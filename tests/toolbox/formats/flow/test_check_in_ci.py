@@ -11,13 +11,11 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import pytest
-from typer.testing import CliRunner
+from commands import invoked
+from run_files import read_verdicts
 
-from loopshape.cli.main import app
+import loopshape as ls
 from loopshape.cli.output import Output
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.write.controllers import read_controllers
-from loopshape.io.write.verdicts import read_verdicts
 
 ROOT = Path(__file__).parents[4]
 WORKFLOW = ROOT / "examples" / "ci" / "check-controllers.yml"
@@ -68,15 +66,15 @@ def check(folder: Path, *words: object, run: str = "out/bench") -> Done:
     """`loopshape check` on the bench's run; the controller is the first word, a refusal ends as the program does."""
     controller, *rest = words
     rest += [] if "--require" in rest else ["--require", REQUIRE]
-    done = CliRunner().invoke(app, [*map(str, ("check", folder / run, controller, "--no-figures", *rest))])
-    refused = isinstance(done.exception, LoopshapeError)
+    done = invoked([*map(str, ("check", folder / run, controller, "--no-figures", *rest))])
+    refused = isinstance(done.exception, ls.LoopshapeError)
     assert refused or isinstance(done.exception, SystemExit | None), done.output + repr(done.exception)
     return Done(2 if refused else done.exit_code, done.stdout, str(done.exception) if refused else done.stderr)
 
 
 def with_gain(folder: Path, factor: float) -> Path:
     """The shipped controller with another gain."""
-    (own,) = read_controllers(BENCH / "controller.toml")
+    (own,) = ls.read_controllers(BENCH / "controller.toml")
     gain = own.blocks[0].parameters["gain"]
     path = folder / f"gain-{factor:g}.toml"
     text = (BENCH / "controller.toml").read_text()
@@ -121,7 +119,7 @@ def test_the_shipped_controller_passes_by_the_workflows_own_commands(bench: Path
 
 
 def test_the_baseline_is_of_the_shipped_controller_and_its_recording() -> None:
-    (kept,), (own,) = read_verdicts(BENCH / "verdict.json"), read_controllers(BENCH / "controller.toml")
+    (kept,), (own,) = read_verdicts(BENCH / "verdict.json"), ls.read_controllers(BENCH / "controller.toml")
     assert [block.to_table() for block in kept.controller.blocks] == [block.to_table() for block in own.blocks]
     assert kept.verdict.outcome == "passed"
     assert str(ROOT) not in (BENCH / "verdict.json").read_text()
@@ -287,7 +285,7 @@ def test_the_pytest_helper_needs_neither_typer_nor_matplotlib_nor_pytest() -> No
 def test_a_case_that_nobody_asked_for_is_refused() -> None:
     from loopshape.testing import ControllerTest
 
-    with pytest.raises(WrongUseError, match="a case is not one of the requirements"):
+    with pytest.raises(ls.errors.WrongUseError, match="a case is not one of the requirements"):
         ControllerTest("none", "none", REQUIRE).assert_case("motor: gain")
 
 

@@ -7,16 +7,14 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 import typer
+from bench_nouns import Block, LoopSetup
+from run_files import write_controllers
 from scipy import signal
 from typer.testing import CliRunner
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.signal.experiment import LoopSetup
+import loopshape as ls
 from loopshape.io.run.run_tables import loop_table, read_loop
 from loopshape.io.words import Words
-from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.frf_words import frf_header, frf_words
 from loopshape.toolbox.formats.commands.export import export_controller
 from loopshape.toolbox.formats.controllers.controller_words import comment, identifier
@@ -29,9 +27,9 @@ BLOCKS = (
     Block("gain", {"gain": -3.0}),
     Block("pi", {"f_hz": 0.7}),
 )
-FINE = Controller("theta 2", BLOCKS, RATE_HZ, prewarp_hz=5.0, computation_delay_s=0.0005, precision="single")
-COARSE = Controller("p_ab", (Block("gain", {"gain": 1 / 3}),), RATE_HZ, added_hold=True, precision="q2.30")
-PLAIN = Controller("p_cd", BLOCKS[1:3], RATE_HZ)
+FINE = ls.Controller("theta 2", BLOCKS, RATE_HZ, prewarp_hz=5.0, computation_delay_s=0.0005, precision="single")
+COARSE = ls.Controller("p_ab", (Block("gain", {"gain": 1 / 3}),), RATE_HZ, added_hold=True, precision="q2.30")
+PLAIN = ls.Controller("p_cd", BLOCKS[1:3], RATE_HZ)
 
 
 def export(*words, code=0):
@@ -39,7 +37,7 @@ def export(*words, code=0):
     app.command()(export_controller)
     done = CliRunner().invoke(app, [str(word) for word in words])
     if code == 2:
-        assert isinstance(done.exception, LoopshapeError) or done.exit_code == 2
+        assert isinstance(done.exception, ls.LoopshapeError) or done.exit_code == 2
         return str(done.exception)
     assert done.exit_code == code, done.output + repr(done.exception)
     return done.stdout
@@ -52,12 +50,12 @@ def file(tmp_path):
 
 
 def assert_same(mine, theirs):
-    for field in fields(Controller):
+    for field in fields(ls.Controller):
         assert getattr(mine, field.name) == getattr(theirs, field.name)
 
 
 def test_settings_survive_a_controller_file(file):
-    for mine, theirs in zip((FINE, COARSE, PLAIN), read_controllers(file), strict=True):
+    for mine, theirs in zip((FINE, COARSE, PLAIN), ls.read_controllers(file), strict=True):
         assert_same(mine, theirs)
         assert mine.digest == theirs.digest
     words = {"prewarp_hz", "computation_delay_s", "added_hold", "precision"}
@@ -71,12 +69,12 @@ def test_settings_survive_a_run_and_a_frf():
     assert_same(recorded, read_loop(Words(table, "run.toml"), RATE_HZ).controller)
     one = np.ones((3, 1, 1), dtype=complex)
     for held_by in (FINE, PLAIN):
-        frf = FRF(
+        frf = ls.FRF(
             np.arange(1.0, 4.0), one, one, np.ones(3, dtype=bool), ("u",), ("y",), "test", "r01", "theta 2", RATE_HZ,
             held_by=held_by,
         )  # fmt: skip
         back = frf_words(json.loads(json.dumps(frf_header(frf))), "x")["held_by"]
-        assert_same(Controller("theta 2", **{f.name: getattr(held_by, f.name) for f in fields(held_by)[1:]}), back)
+        assert_same(ls.Controller("theta 2", **{f.name: getattr(held_by, f.name) for f in fields(held_by)[1:]}), back)
 
 
 def test_json(file, tmp_path):

@@ -5,15 +5,12 @@ import shutil
 
 import numpy as np
 import pytest
+from bench_nouns import TransferFunction
+from commands import invoked
+from run_files import read_frfs, write_frfs
 from scipy.io import savemat
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.io.write.frfs import read_frfs, write_frfs
 
 RATE = 500.0
 PLANT = TransferFunction([900.0], [1.0, 6.0, 0.0], 0.004)
@@ -31,9 +28,9 @@ structure = [{ kind = "gain", gain = { min = 0.001, max = 1.0 } }]
 
 def loopshape(*words, code=0):
     """Run a command; a refusal must be a sentence of the project's own."""
-    done = CliRunner().invoke(app, [str(word) for word in words])
+    done = invoked(words)
     if code == 2:
-        assert isinstance(done.exception, LoopshapeError) or done.exit_code == 2
+        assert isinstance(done.exception, ls.LoopshapeError) or done.exit_code == 2
         return str(done.exception)
     assert done.exit_code == code, done.output + repr(done.exception)
     return done.stdout
@@ -44,7 +41,7 @@ def measured(recording="r01"):
     G = PLANT.response(f)
     noise = 0.01 * np.abs(G) * (rng.standard_normal(80) + 1j * rng.standard_normal(80)) / np.sqrt(2.0)
     C = ((0.01 * np.abs(G)) ** 2)[:, None, None].astype(complex)
-    return FRF(
+    return ls.FRF(
         f, (G + noise)[:, None, None], C, np.ones(80, dtype=bool), ("z_v",), ("y_rad",), "made up", recording, "axis",
         RATE, coherence=np.full(80, 0.99),
     )  # fmt: skip
@@ -101,7 +98,7 @@ def test_elements_of_a_matrix_become_loops(tmp_path):
     G = np.stack([[PLANT.response(f), 0.1 * PLANT.response(f)], [0.2 * PLANT.response(f), 2.0 * PLANT.response(f)]])
     savemat(tmp_path / "m.mat", {"response": G, "frequency_hz": f})
     words = ("import-frf", tmp_path / "m.mat", "--relative-std", 0.02, "--inputs", "a_v,b_v", "--outputs", "a_m,b_m")
-    whole = CliRunner().invoke(app, [str(w) for w in (*words, "--out", tmp_path / "whole")])
+    whole = invoked([str(w) for w in (*words, "--out", tmp_path / "whole")])
     assert "a_m+b_m has several channels" in whole.stderr
     loopshape(*words, "--out", tmp_path / "run", "--pick", "a_m/a_v", "--pick", "b_m/b_v", "-q")
     a, b = read_frfs(tmp_path / "run")

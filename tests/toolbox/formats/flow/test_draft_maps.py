@@ -8,7 +8,6 @@ import pytest
 from scipy.io import savemat
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.toolbox.formats.commands.import_file import import_file as command
 from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
 from loopshape.toolbox.formats.tables.import_file import import_file
@@ -87,12 +86,12 @@ def test_a_draft_is_taken_on_demand_alone_and_the_run_says_so(tmp_path):
     file = written(tmp_path / "a.csv", ["t_s", "inj", "u_V", "y_m"], [np.arange(N) / RATE, n, z, y])
     draft = draft_map(file)
     write_draft(tmp_path / "m.toml", draft, file)
-    with pytest.raises(WrongUseError, match=r"has not been confirmed.*--accept"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"has not been confirmed.*--accept"):
         import_file(file, tmp_path / "m.toml")
     run = import_file(file, tmp_path / "m.toml", accept_draft=True)
     (told,) = [note for note in run.extra["notes"] if "draft map that was not confirmed" in note]
     assert told.split("confirmed: ")[1] == " ".join(draft.guesses)
-    with pytest.raises(WrongUseError, match="is there already"):
+    with pytest.raises(ls.errors.WrongUseError, match="is there already"):
         write_draft(tmp_path / "m.toml", draft, file)
 
 
@@ -103,7 +102,7 @@ def test_what_is_open_cannot_be_accepted(tmp_path):
     assert len(draft.open) == 1
     assert "rate_hz" in draft.open[0]
     write_draft(tmp_path / "m.toml", draft, file)
-    with pytest.raises(WrongUseError, match=r"questions open.*write rate_hz"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"questions open.*write rate_hz"):
         import_file(file, tmp_path / "m.toml", accept_draft=True)
     assert draft_map(file, RATE).open == ()
 
@@ -143,7 +142,7 @@ def test_stamps_of_every_kind_give_the_rate(tmp_path):
         _, run = accepted(tmp_path / "a.csv", tmp_path)
         assert run.rate_hz == RATE, name
     (tmp_path / "b.csv").write_text("t,y\n2024-03-05,1\n")
-    with pytest.raises(LoopshapeError, match="no signals"):
+    with pytest.raises(ls.LoopshapeError, match="no signals"):
         draft_map(tmp_path / "b.csv")
 
 
@@ -169,10 +168,10 @@ def test_a_mat_file_with_a_rate_of_its_own(tmp_path):
 def test_a_file_that_holds_nothing_is_refused_with_a_cure(tmp_path):
     for text, word in (("", "empty"), ("t,u,y\n", "no rows"), ("one\ntwo\nthree\n", "a row of numbers a sample")):
         (tmp_path / "a.csv").write_text(text)
-        with pytest.raises(LoopshapeError, match=word):
+        with pytest.raises(ls.LoopshapeError, match=word):
             draft_map(tmp_path / "a.csv")
     (tmp_path / "a.csv").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0")
-    with pytest.raises(LoopshapeError, match="no file of text"):
+    with pytest.raises(ls.LoopshapeError, match="no file of text"):
         draft_map(tmp_path / "a.csv")
 
 
@@ -186,7 +185,7 @@ def test_the_command_writes_draft_picture_and_run(tmp_path, capsys):
     assert tomllib.loads((tmp_path / "d.toml").read_text())["draft"]["guesses"] == told["guesses"]
     command(file, tmp_path / "d.toml", tmp_path / "run", True, None, None, False, False, True)
     assert ls.read(tmp_path / "run").rate_hz == RATE
-    with pytest.raises(WrongUseError, match="--out FOLDER"):
+    with pytest.raises(ls.errors.WrongUseError, match="--out FOLDER"):
         command(file, None, None, True, None, None, False, False, False)
 
 

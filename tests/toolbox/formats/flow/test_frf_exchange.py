@@ -8,13 +8,10 @@ import control
 import h5py
 import numpy as np
 import pytest
+from bench_nouns import Block
 from scipy.io import loadmat, savemat
 
 import loopshape as ls
-from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.control_frd import from_control, to_control
-from loopshape.data.response.frf import FRF
 from loopshape.io.write.frf_csv import frf_csv
 from loopshape.io.write.frf_words import PERHAPS, frf_header
 from loopshape.toolbox.formats.frf.frf_exchange import FORMATS, export_frfs, read_frf_file
@@ -41,9 +38,9 @@ def frf(ny=2, nu=2, nf=6, **words):
         "method_numbers": {"sweep_s": 202.5, "rationals_percent": 41.0},
         "variance_freedom": 22.0,
         "line_overlap": 1.94,
-        "held_by": Controller("theta2", (Block("gain", {"gain": 0.5}),), 1000.0),
+        "held_by": ls.Controller("theta2", (Block("gain", {"gain": 0.5}),), 1000.0),
     }
-    return FRF(
+    return ls.FRF(
         f, G, C, np.arange(nf) % 2 == 0, tuple(f"z{k}_v" for k in range(nu)), tuple(f"y{k}_rad" for k in range(ny)),
         "local polynomial", **(most | words),
     )  # fmt: skip
@@ -235,11 +232,11 @@ def test_the_head_of_a_binary_universal_file_counts_its_bytes(tmp_path):
 @pytest.mark.short
 def test_python_control_and_back():
     made = frf(2, 3)
-    frd = to_control(made)
+    frd = ls.to_control(made)
     assert frd.frdata.shape == (2, 3, 6)
     np.testing.assert_allclose(frd.omega, 2 * np.pi * made.frequency_hz)
     assert (frd.dt, frd.input_labels) == (1e-3, list(made.inputs))
-    back = from_control(frd, covariance=made.covariance, recording="r01", loop="theta2")
+    back = ls.from_control(frd, covariance=made.covariance, recording="r01", loop="theta2")
     assert_response(back, made)
     assert_covariance(back, made)
     assert (back.inputs, back.outputs, back.rate_hz) == (made.inputs, made.outputs, pytest.approx(1000.0))
@@ -250,7 +247,7 @@ def test_python_control_and_back():
 @pytest.mark.short
 def test_a_model_of_python_control_has_no_error():
     plant = control.tf([1.0], [1.0, 0.4, 1.0])
-    made = from_control(control.frd(plant, np.geomspace(0.1, 10.0, 30)), relative_std=0.0, outputs=("y_m",))
+    made = ls.from_control(control.frd(plant, np.geomspace(0.1, 10.0, 30)), relative_std=0.0, outputs=("y_m",))
     assert not made.covariance.any()
     assert made.rate_hz == 0.0
     f = made.frequency_hz
@@ -294,7 +291,7 @@ def test_a_mat_file_in_other_words_is_taken_with_a_note(tmp_path, word, per_hz):
 
 def test_two_complex_variables_are_no_response(tmp_path):
     savemat(tmp_path / "a.mat", {"hz": np.arange(1.0, 9.0), "a": 1j * np.ones(8), "b": 1j * np.ones(8)})
-    with pytest.raises(UnreadableInputError, match="holds no response"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="holds no response"):
         read_frf_file(tmp_path / "a.mat", Stated(relative_std=0.01))
 
 
@@ -312,7 +309,7 @@ def test_a_controller_becomes_its_tustin_sections_in_python_control() -> None:
     by_hand *= (s * s + 0.1 * w * s + w * w) / (s * s + 1.2 * w * s + w * w)
     assert made.dt == 1.0 / rate
     assert made(z) == pytest.approx(by_hand, rel=1e-9)
-    with pytest.raises(WrongUseError, match="whole samples of delay"):
+    with pytest.raises(ls.errors.WrongUseError, match="whole samples of delay"):
         ls.to_control(ls.controller(ls.gain(1.0), rate_hz=rate, computation_delay_s=0.0004))
 
 

@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import invoked
+from run_files import CsvShape
 from scipy.io import loadmat
-from typer.testing import CliRunner
+from simulated_machines import Arm1, experiment, plan, read_study
 
-from loopshape.cli.main import app
-from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.csv_text import CsvShape
-from loopshape.toolbox.arm.arm1 import Arm1
+import loopshape as ls
 from loopshape.toolbox.formats.tables.sources import Place, open_source
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import experiment, plan
 
 RATE = 200.0
 MAP = """
@@ -76,9 +73,7 @@ def test_a_channel_of_two_groups_is_left_out_and_named(tmp_path):
 @pytest.mark.short
 def test_an_mdf_file_becomes_a_run(mdf, tmp_path):
     (tmp_path / "map.toml").write_text(MAP)
-    result = CliRunner().invoke(
-        app, ["import", str(mdf), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "run")]
-    )
+    result = invoked(["import", str(mdf), "--map", str(tmp_path / "map.toml"), "--out", str(tmp_path / "run")])
     assert result.exit_code == 0, result.output
     assert (tmp_path / "run" / "bench.parquet").is_file()
 
@@ -134,8 +129,8 @@ def exported(tmp_path):
     def export(to):
         (tmp_path / "study.toml").write_text(STUDY)
         words = ["export-excitation", str(tmp_path / "study.toml"), "--to", to, "--out", str(tmp_path / "out")]
-        result = CliRunner().invoke(app, words)
-        if isinstance(result.exception, LoopshapeError):
+        result = invoked(words)
+        if isinstance(result.exception, ls.LoopshapeError):
             raise result.exception
         (path,) = (tmp_path / "out").iterdir()
         return path
@@ -183,10 +178,10 @@ def test_signals_in_c_are_the_signals_to_single_precision(exported, asked, tmp_p
 
 
 def test_an_unknown_format_is_refused(exported):
-    with pytest.raises(LoopshapeError, match="a format for signals is not known; received 'xls'"):
+    with pytest.raises(ls.LoopshapeError, match="a format for signals is not known; received 'xls'"):
         exported("xls")
 
 
 def test_a_file_of_an_unknown_kind_names_those_that_are_read(tmp_path):
-    with pytest.raises(UnreadableInputError, match=r"\.mat, \.npz, \.parquet, \.mf4, \.mdf"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"\.mat, \.npz, \.parquet, \.mf4, \.mdf"):
         open_source(Path(tmp_path / "a.xls"), CsvShape())

@@ -6,10 +6,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from conversions import deg
+from run_files import check_recordings
 from scipy.io import loadmat, savemat
 
-from loopshape.core.units import deg
-from loopshape.io.run.run_folder import check_recordings, read_run, write_run
+import loopshape as ls
 from loopshape.toolbox.formats.logs.mat5 import read_mat5
 from loopshape.toolbox.formats.tables.import_file import import_file
 
@@ -72,8 +73,8 @@ def test_outputs_and_further_excited_loops_of_a_map(tmp_path):
     run = mapped(tmp_path, file, HEAD + 'outputs = ["theta_rad", "u_v + v_v"]\n' + columns + tail)
     assert run.outputs == ("theta_rad", "u_v + v_v")
     assert run.recordings[0].info.excited == ("axis", "other")
-    write_run(tmp_path / "run", run)
-    back = read_run(tmp_path / "run")
+    ls.write(run, tmp_path / "run")
+    back = ls.read(tmp_path / "run")
     assert (back.outputs, back.recordings[0].info) == (run.outputs, run.recordings[0].info)
 
 
@@ -164,10 +165,10 @@ def test_resampling_says_what_it_did(tmp_path):
 
 def test_several_files_go_into_one_run(tmp_path):
     for name in ("a", "b"):
-        write_run(
-            tmp_path / "run", mapped(tmp_path, write_csv(tmp_path / f"{name}.csv", "u,theta"), HEAD + COLUMNS + TAIL)
+        ls.write(
+            mapped(tmp_path, write_csv(tmp_path / f"{name}.csv", "u,theta"), HEAD + COLUMNS + TAIL), tmp_path / "run"
         )
-    back = read_run(tmp_path / "run")
+    back = ls.read(tmp_path / "run")
     assert [r.info.name for r in back.recordings] == ["a", "b"]
     assert back.extra["notes"] == ["a: imported from a.csv", "b: imported from b.csv"]
 
@@ -216,8 +217,8 @@ period_s = 1.0
 periodic_from_s = 0.0
 """
     source = DATA / "tokyo_bench" / "MultisineTypeA.mat"
-    write_run(tmp_path / "run", mapped(tmp_path, source, text))
-    run = read_run(tmp_path / "run")
+    ls.write(mapped(tmp_path, source, text), tmp_path / "run")
+    run = ls.read(tmp_path / "run")
     recording = run.recording("MultisineTypeA")
     assert recording.column("t_s").size == 50_000
     np.testing.assert_array_equal(recording.column("theta_l_rad"), -loadmat(source)["theta_my"].ravel())

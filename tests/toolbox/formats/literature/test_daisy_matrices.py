@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Settings
 
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.identify.matrix.matrix import estimate_matrix
-from loopshape.identify.settings import Settings
 from loopshape.toolbox.formats.tables.import_file import import_file
 
 MAPS = Path(__file__).parents[4] / "examples" / "daisy"
 
 
-def matrix(shared: Path, name: str, settings: Settings) -> FRF:
+def matrix(shared: Path, name: str, settings: Settings) -> ls.FRF:
     file = shared / "data" / "daisy" / f"{name}_dat.mat"
     if not file.is_file():
         pytest.skip("the shared folder holds no DaISy recordings")

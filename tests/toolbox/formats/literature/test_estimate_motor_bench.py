@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Rational
+from conversions import db
 
-from loopshape.core.units import db
 from loopshape.identify.fit import fit, modes
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.structures import Rational
 from loopshape.toolbox.formats.tables.import_file import import_file
 
 ROOT = Path(__file__).resolve().parents[4]

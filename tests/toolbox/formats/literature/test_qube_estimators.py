@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conversions import db
 
-from loopshape.core.units import db
 from loopshape.identify.quality.quality import loop_feedback
 from loopshape.toolbox.formats.tables.import_file import import_file
 

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
-from loopshape.data.response.control_frd import from_control
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.toolbox.formats.frf.frf_exchange import export_frfs, read_frf_file
 from loopshape.toolbox.formats.frf.frf_foreign import Stated
 from loopshape.toolbox.formats.frf.frf_uff import read_frf_uff
@@ -23,10 +21,10 @@ def frf(ny=2, nu=2):
     G = rng.standard_normal((6, ny, nu)) + 1j * rng.standard_normal((6, ny, nu))
     C = np.tile(0.01 * np.eye(ny * nu), (6, 1, 1)).astype(complex)
     names = tuple(f"u{k}_v" for k in range(nu)), tuple(f"y{k}_m" for k in range(ny))
-    return FRF(F, G, C, np.ones(6, dtype=bool), *names, "made up", "r01", "x", 100.0)
+    return ls.FRF(F, G, C, np.ones(6, dtype=bool), *names, "made up", "r01", "x", 100.0)
 
 
-def no(path, *words, stated=SURE, error=LoopshapeError):
+def no(path, *words, stated=SURE, error=ls.LoopshapeError):
     with pytest.raises(error) as caught:
         read_frf_file(path, stated)
     for word in words:
@@ -45,7 +43,7 @@ def test_damaged_files_never_give_a_traceback(tmp_path, to, size):
         flipped[min(cut, len(whole)) - 1] ^= 0x55
         for damaged in (whole[:cut], bytes(flipped)):
             path.write_bytes(damaged)
-            with suppress(LoopshapeError):
+            with suppress(ls.LoopshapeError):
                 read_frf_file(path, SURE if to == "uff" else None)
     for cut in (len(whole) // 3, len(whole) // 2, len(whole) - 30):
         path.write_bytes(whole[:cut])
@@ -57,8 +55,8 @@ def test_damaged_files_never_give_a_traceback(tmp_path, to, size):
 def test_foreign_content(tmp_path, to, content):
     path = tmp_path / f"a.{to}"
     path.write_bytes(content)
-    no(path, "a.", error=UnreadableInputError)
-    no(tmp_path / f"none.{to}", "does not exist", error=UnreadableInputError)
+    no(path, "a.", error=ls.errors.UnreadableInputError)
+    no(tmp_path / f"none.{to}", "does not exist", error=ls.errors.UnreadableInputError)
 
 
 def test_mat_files_that_are_no_frf(tmp_path):
@@ -163,24 +161,24 @@ def test_universal_files_are_read_up_to_a_size_and_need_pyuff(tmp_path, monkeypa
     monkeypatch.setattr("loopshape.toolbox.formats.frf.frf_uff.LIMIT_BYTES", 100)
     no(path, "are read at most")
     monkeypatch.setitem(__import__("sys").modules, "pyuff", None)
-    with pytest.raises(WrongUseError, match=r"the library pyuff.*pip install 'loopshape\[uff\]'"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"the library pyuff.*pip install 'loopshape\[uff\]'"):
         read_frf_uff(path)
 
 
 def test_names_that_no_file_can_carry(tmp_path):
-    with pytest.raises(UnreadableInputError, match="plain name"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="plain name"):
         export_frfs([replace(frf(), recording="../r01")], "mat", tmp_path)
-    with pytest.raises(WrongUseError, match="two FRFs have one name"):
+    with pytest.raises(ls.errors.WrongUseError, match="two FRFs have one name"):
         export_frfs([frf(), frf()], "mat", tmp_path)
-    with pytest.raises(WrongUseError, match="80 plain letters"):
+    with pytest.raises(ls.errors.WrongUseError, match="80 plain letters"):
         export_frfs([replace(frf(1, 1), inputs=("ü_v",))], "uff", tmp_path)
     assert not list(tmp_path.iterdir())
 
 
 def test_python_control_needs_an_error():
-    with pytest.raises(WrongUseError, match="only frequency response data"):
-        from_control(3.0, relative_std=0.1)
+    with pytest.raises(ls.errors.WrongUseError, match="only frequency response data"):
+        ls.from_control(3.0, relative_std=0.1)
     import control
 
-    with pytest.raises(WrongUseError, match="the error of this FRF"):
-        from_control(control.frd(np.ones(6) * 1j, F))
+    with pytest.raises(ls.errors.WrongUseError, match="the error of this FRF"):
+        ls.from_control(control.frd(np.ones(6) * 1j, F))

@@ -6,12 +6,11 @@ import zipfile
 import control
 import numpy as np
 import pytest
+from run_files import write_frfs
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError
 from loopshape.io.profiles import profile_of
 from loopshape.io.write.check_files import check_files
-from loopshape.io.write.frfs import write_frfs
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.own.file import _function, _unpacked
 
@@ -91,7 +90,7 @@ IMPORTS = {
 
 
 def sentence(action):
-    with pytest.raises(LoopshapeError) as caught:
+    with pytest.raises(ls.LoopshapeError) as caught:
         action()
     return str(caught.value)
 

@@ -4,10 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from run_files import CsvShape
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.io.csv_text import CsvShape
 from loopshape.toolbox.formats.commands.import_file import import_file as command
 from loopshape.toolbox.formats.drafts.draft_map import draft_map
 from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
@@ -53,7 +52,7 @@ def test_a_file_that_does_not_tell_is_refused_or_asked(mistake, tmp_path):
     (tmp_path / "a.csv").write_text(text)
     try:
         said = " ".join(draft_map(tmp_path / "a.csv").open)
-    except LoopshapeError as error:
+    except ls.LoopshapeError as error:
         said = str(error)
     assert word in said
 
@@ -62,7 +61,7 @@ def test_what_cannot_be_drafted_leaves_no_draft_behind(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "one.csv").write_text(FILES["nothing but stamps"][0])
     for _ in range(2):
-        with pytest.raises(LoopshapeError, match="no signal that moves"):
+        with pytest.raises(ls.LoopshapeError, match="no signal that moves"):
             command(tmp_path / "one.csv", quiet=True)
     assert [path.name for path in tmp_path.iterdir()] == ["one.csv"]
 
@@ -73,7 +72,7 @@ def test_accept_takes_no_draft_of_another_file_of_the_same_name(tmp_path, monkey
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "rec.csv").write_text(f"t_s,{order}\n" + rows(0, N))
     command(tmp_path / "a" / "rec.csv", quiet=True)
-    with pytest.raises(WrongUseError, match=r"not the draft of this file.*remove it"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"not the draft of this file.*remove it"):
         command(tmp_path / "b" / "rec.csv", out=tmp_path / "run", accept=True, quiet=True)
     command(tmp_path / "a" / "rec.csv", out=tmp_path / "run", accept=True, quiet=True)
     assert ls.read(tmp_path / "run").rate_hz == 500.0
@@ -91,7 +90,7 @@ def test_a_damaged_channel_of_1e300_is_drafted_without_an_exception(tmp_path):
 
 def test_lists_of_different_lengths_are_called_so(tmp_path):
     (tmp_path / "a.json").write_text(json.dumps({"u": [[1.0, 2.0], [3.0]], "t": [0.0, 1.0]}))
-    with pytest.raises(LoopshapeError, match=r"lists of different lengths.*1 to 2"):
+    with pytest.raises(ls.LoopshapeError, match=r"lists of different lengths.*1 to 2"):
         draft_map(tmp_path / "a.json")
     (tmp_path / "b.json").write_text(json.dumps({"t": T.tolist(), "u": U[:900].tolist(), "y": Y.tolist()}))
     assert any("u (900 of 2000)" in guess for guess in draft_map(tmp_path / "b.json").guesses)
@@ -101,7 +100,7 @@ def test_a_column_of_an_array_whose_signals_lie_in_rows_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.stack([T, U, Y]))
     source = open_source(tmp_path / "a.npz", CsvShape())
     np.testing.assert_array_equal(source.signal(Place("x", row=2)), U)
-    with pytest.raises(WrongUseError, match=r"3 x 2000.*rows.*row = N"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"3 x 2000.*rows.*row = N"):
         source.signal(Place("x", column=1))
 
 
@@ -134,7 +133,7 @@ def test_a_sum_of_two_units_says_the_gain_that_makes_one(tmp_path):
         'control = "u_v"\noutput = "p_m + 0.4557 a_rad"\n[recording]\nkind = "noise"\ninjection = "control"\n'
         'excites = "x"\nclosed_loop = false\n'
     )
-    with pytest.raises(WrongUseError, match=r'a_m = \{ from = ..., unit = "m", gain = 0.4557 \}'):
+    with pytest.raises(ls.errors.WrongUseError, match=r'a_m = \{ from = ..., unit = "m", gain = 0.4557 \}'):
         import_file(tmp_path / "a.csv", tmp_path / "m.toml")
 
 
@@ -146,10 +145,10 @@ def test_names_of_many_outputs_make_a_loop_and_a_bad_one_leaves_no_folder(tmp_pa
     found = ls.formats.read_frf(tmp_path / "a.mat", loop="")
     assert add_frfs(tmp_path / "run", [found])
     bad = ls.FRF.from_arrays(f, [1.0, 1j], relative_std=0.1, loop="a|b")
-    with pytest.raises(LoopshapeError, match="--loop"):
+    with pytest.raises(ls.LoopshapeError, match="--loop"):
         add_frfs(tmp_path / "other", [bad])
     assert not (tmp_path / "other").exists()
-    with pytest.raises(LoopshapeError, match=r"FRFs alone.*gap and ls.read need recordings"):
+    with pytest.raises(ls.LoopshapeError, match=r"FRFs alone.*gap and ls.read need recordings"):
         ls.read(tmp_path / "run")
 
 
@@ -157,5 +156,5 @@ def test_entities_are_refused_in_every_encoding(tmp_path):
     for code in ("utf-8", "utf-16"):
         text = f'<?xml version="1.0" encoding="{code}"?><!DOCTYPE a [<!ENTITY b "x">]><LIGO_LW>&b;</LIGO_LW>'
         (tmp_path / "a.xml").write_bytes(text.encode(code))
-        with pytest.raises(LoopshapeError, match="entities"):
+        with pytest.raises(ls.LoopshapeError, match="entities"):
             ls.formats.read_frf(tmp_path / "a.xml", relative_std=0.1)

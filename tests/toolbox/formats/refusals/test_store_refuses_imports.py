@@ -6,7 +6,7 @@ import pytest
 from fuzz_cases import said
 from scipy.io import savemat
 
-from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
+import loopshape as ls
 from loopshape.toolbox.formats.tables.import_file import import_file
 
 MAP = """
@@ -35,7 +35,7 @@ def table(**changes):
     return {"t": n / 100.0, "u": np.sin(n), "x": np.cos(n)} | changes
 
 
-def refused(tmp_path, *words, text=MAP, error=WrongUseError, file=None, **changes):
+def refused(tmp_path, *words, text=MAP, error=ls.errors.WrongUseError, file=None, **changes):
     (tmp_path / "map.toml").write_text(text)
     if file is None:
         file = tmp_path / "r.npz"
@@ -56,7 +56,7 @@ def without(line):
 
 
 def test_maps_that_do_not_fit(tmp_path):
-    refused(tmp_path, "no format", text=without('format = "loopshape-map/1"'), error=UnreadableInputError)
+    refused(tmp_path, "no format", text=without('format = "loopshape-map/1"'), error=ls.errors.UnreadableInputError)
     refused(tmp_path, "map.toml", "no rate_hz", text=without("rate_hz = 100.0"))
     refused(tmp_path, "no recording", text=MAP.split("[recording]", maxsplit=1)[0])
     refused(tmp_path, "no loop", text=without('[[loop]]\nname = "axis"\ncontrol = "u_v"\noutput = "x_m"\n'))
@@ -71,7 +71,7 @@ def test_maps_that_do_not_fit(tmp_path):
     twice = MAP + 'excites = "axis"\nexcites_also = ["axis"]\n'
     refused(tmp_path, "map.toml, recording: an excited loop is named twice", text=twice)
     refused(tmp_path, "wobble", "multisine", text=MAP.replace("noise", "wobble"))
-    refused(tmp_path, "plain name", text=MAP + 'name = "../x"\n', error=UnreadableInputError)
+    refused(tmp_path, "plain name", text=MAP + 'name = "../x"\n', error=ls.errors.UnreadableInputError)
     refused(tmp_path, "no dot", text=MAP + 'name = "a.b"\n')
     refused(tmp_path, "separator is one character", text='csv = { separator = ",," }\n' + MAP)
     refused(tmp_path, "decimal", "are the same", text='csv = { decimal = "," }\n' + MAP)
@@ -103,24 +103,24 @@ def test_rows_that_do_not_fit(tmp_path):
     refused(tmp_path, "to_row lies above from_row", text=MAP + "from_row = 9\nto_row = 3\n")
     refused(tmp_path, "has 60 rows", "rows 1 to 61", text=MAP + "to_row = 61\n")
     nan = np.where(np.arange(N) == 4, np.nan, 1.0)
-    refused(tmp_path, "1 values that are not numbers", "row 5", u=nan, error=BadSignalError)
+    refused(tmp_path, "1 values that are not numbers", "row 5", u=nan, error=ls.errors.BadSignalError)
 
 
 def test_stamps_that_do_not_fit(tmp_path):
     t = np.arange(N) / 100.0
     gap = t + 0.1 * (np.arange(N) > 20)
-    refused(tmp_path, "leave the rate of 100 Hz at row 21", "resample = true", t=gap, error=BadSignalError)
+    refused(tmp_path, "leave the rate of 100 Hz at row 21", "resample = true", t=gap, error=ls.errors.BadSignalError)
     resampled = "resample = true\n" + MAP
     back = t - 0.1 * (np.arange(N) > 20)
-    refused(tmp_path, "do not rise at row 22", text=resampled, t=back, error=BadSignalError)
+    refused(tmp_path, "do not rise at row 22", text=resampled, t=back, error=ls.errors.BadSignalError)
     refused(tmp_path, "check the unit of time", text=resampled, t=1000.0 * t)
 
 
 def test_files_that_cannot_be_read(tmp_path):
-    missing = {"error": UnreadableInputError, "file": tmp_path / "none.mat"}
+    missing = {"error": ls.errors.UnreadableInputError, "file": tmp_path / "none.mat"}
     refused(tmp_path, "does not exist", "none.mat", **missing)
-    refused(tmp_path, "of this kind", ".npz", error=UnreadableInputError, file=tmp_path / "r.xlsx")
-    with pytest.raises(UnreadableInputError, match=r"none\.toml"):
+    refused(tmp_path, "of this kind", ".npz", error=ls.errors.UnreadableInputError, file=tmp_path / "r.xlsx")
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"none\.toml"):
         import_file(tmp_path / "r.npz", tmp_path / "none.toml")
 
 
@@ -130,7 +130,7 @@ def test_files_that_cannot_be_read(tmp_path):
 )
 def test_foreign_content(tmp_path, ending, content):
     (tmp_path / f"r.{ending}").write_bytes(content)
-    refused(tmp_path, f"r.{ending}", error=UnreadableInputError, file=tmp_path / f"r.{ending}")
+    refused(tmp_path, f"r.{ending}", error=ls.errors.UnreadableInputError, file=tmp_path / f"r.{ending}")
 
 
 @pytest.mark.parametrize("kind", ["mat5", "mat5z", "mat73", "npz"])
@@ -158,7 +158,11 @@ def test_damaged_content_ends_in_a_sentence_or_in_as_many_rows(tmp_path, kind):
 def test_nothing_is_unpickled(tmp_path):
     np.savez(tmp_path / "p.npz", **table(u=np.array([{"a": 1}] * N, dtype=object)))
     refused(
-        tmp_path, "p.npz cannot be read as NPZ", "allow_pickle", error=UnreadableInputError, file=tmp_path / "p.npz"
+        tmp_path,
+        "p.npz cannot be read as NPZ",
+        "allow_pickle",
+        error=ls.errors.UnreadableInputError,
+        file=tmp_path / "p.npz",
     )
 
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from run_files import check_recordings
 from scipy.signal import lfilter
 
-from loopshape.core.errors import BadSignalError
+import loopshape as ls
 from loopshape.identify.quality.faults import saturated, spikes
-from loopshape.io.run.run_folder import check_recordings
 from loopshape.toolbox.formats.tables.import_file import import_file
 
 RATE = 1000.0
@@ -111,7 +111,7 @@ def test_clipping_of_a_converters_steps_is_found_and_its_peaks_are_not_clipped()
 
 
 def test_what_is_no_row_of_numbers_is_refused():
-    with pytest.raises(BadSignalError, match="first in row 5"):
+    with pytest.raises(ls.errors.BadSignalError, match="first in row 5"):
         spikes(np.where(np.arange(100) == 5, np.nan, 1.0), RATE)
 
 

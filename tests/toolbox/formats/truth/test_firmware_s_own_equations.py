@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import typer
+from bench_nouns import step
 from typer.testing import CliRunner
 
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.control.controller import step
+import loopshape as ls
 from loopshape.toolbox.formats.commands.export import export_controller, firmware
 from loopshape.toolbox.formats.controllers.drives import controller_of_parameters, drive_parameters, drive_text
 from loopshape.toolbox.formats.controllers.firmware import (
@@ -206,19 +206,19 @@ def test_a_filter_that_changes_in_flight_is_named():
 
 
 def test_what_is_no_rate_controller_is_refused(tmp_path):
-    with pytest.raises(WrongUseError, match="MC_ROLLRATE_I is a number"):
+    with pytest.raises(ls.errors.WrongUseError, match="MC_ROLLRATE_I is a number"):
         controller_of({"MC_ROLLRATE_P": 0.1}, "px4", "roll", RATE_HZ)
-    with pytest.raises(WrongUseError, match="left half plane"):
+    with pytest.raises(ls.errors.WrongUseError, match="left half plane"):
         controller_of(PX4 | {"MC_ROLLRATE_I": 500.0, "MC_ROLLRATE_D": 0.0}, "px4", "roll", RATE_HZ)
     for word in ("BIQUAD", "PT9"):
-        with pytest.raises(WrongUseError, match="PT1"):
+        with pytest.raises(ls.errors.WrongUseError, match="PT1"):
             controller_of(BETAFLIGHT | {"dterm_lpf1_type": word}, "betaflight", "yaw", RATE_HZ)
-    with pytest.raises(WrongUseError, match="roll, pitch, yaw"):
+    with pytest.raises(ls.errors.WrongUseError, match="roll, pitch, yaw"):
         controller_of(PX4, "px4", "x", RATE_HZ)
-    with pytest.raises(WrongUseError, match="a gain, pi and one lead_lag"):
+    with pytest.raises(ls.errors.WrongUseError, match="a gain, pi and one lead_lag"):
         parameters_of(controller_of(PX4, "px4", "roll", RATE_HZ), "px4")
     (tmp_path / "a.param").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         read_parameters(tmp_path / "a.param")
 
 
@@ -286,13 +286,13 @@ def test_a_backup_of_two_axes_is_asked_for_one(tmp_path):
     (tmp_path / "a.json").write_text(one)
     given = read_parameters(tmp_path / "a.json")
     assert drive_parameters(controller_of_parameters(given, "odrive", "velocity", RATE_HZ), "odrive")["vel_gain"] > 0.0
-    with pytest.raises(WrongUseError, match="of one axis"):
+    with pytest.raises(ls.errors.WrongUseError, match="of one axis"):
         controller_of_parameters(given | {"axis1.controller.config.vel_gain": 0.2}, "odrive", "velocity", RATE_HZ)
-    with pytest.raises(WrongUseError, match="follow from the motor"):
+    with pytest.raises(ls.errors.WrongUseError, match="follow from the motor"):
         drive_parameters(controller_of_parameters(MOTOR, "odrive", "current", RATE_HZ), "odrive")
-    with pytest.raises(WrongUseError, match="rate that the loop runs at"):
+    with pytest.raises(ls.errors.WrongUseError, match="rate that the loop runs at"):
         controller_of_parameters({**MOTOR, "phase_resistance": 0.04}, "odrive", "current", RATE_HZ)
-    with pytest.raises(WrongUseError, match="position, velocity, current"):
+    with pytest.raises(ls.errors.WrongUseError, match="position, velocity, current"):
         controller_of_parameters(given, "odrive", "roll", RATE_HZ)
 
 
@@ -312,5 +312,5 @@ def test_a_bank_of_dynamic_notches_is_the_firmware_s_product(name, parameters, a
 
 @pytest.mark.parametrize("word", ["120", "600:20", "120:0", "a:b", "120:-3"])
 def test_a_notch_that_no_bank_holds_is_refused(word):
-    with pytest.raises(WrongUseError, match="FREQUENCY:WIDTH in Hz, below half the rate"):
+    with pytest.raises(ls.errors.WrongUseError, match="FREQUENCY:WIDTH in Hz, below half the rate"):
         with_notches(controller_of(PX4, "px4", "roll", RATE_HZ), [word], "px4")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from loopshape.core.errors import BadSignalError
+import loopshape as ls
 from loopshape.io.stamps import check_rate, read_stamps
 from loopshape.toolbox.formats.tables.import_file import import_file
 
@@ -35,22 +35,22 @@ def test_lost_samples_are_named_by_row_and_counted(rounded, lost, jitter):
     kept = np.delete(np.arange(N + 2 * lost), np.r_[1000 : 1000 + lost, 3000 + lost : 3000 + 2 * lost])
     t = (kept + np.clip(jitter * np.random.default_rng(2).standard_normal(N), -0.3, 0.3)) / 250.0
     t = t if rounded is None else np.round(t, rounded)
-    with pytest.raises(BadSignalError, match=r"of 250 Hz at row 1000.*, 2 such steps in all"):
+    with pytest.raises(ls.errors.BadSignalError, match=r"of 250 Hz at row 1000.*, 2 such steps in all"):
         check_rate(t, 250.0)
 
 
 @pytest.mark.parametrize("rounded", [3, 9])
 def test_a_wrong_rate_is_told_with_the_right_one(rounded):
     t = np.round(K / 333.0, rounded)
-    with pytest.raises(BadSignalError, match=r"all 5000 of them keep (333|332\.999) Hz"):
+    with pytest.raises(ls.errors.BadSignalError, match=r"all 5000 of them keep (333|332\.999) Hz"):
         check_rate(t, 332.0)
-    with pytest.raises(BadSignalError, match=r"all 5000 of them keep (333|332\.999) Hz"):
+    with pytest.raises(ls.errors.BadSignalError, match=r"all 5000 of them keep (333|332\.999) Hz"):
         check_rate(t, 1000.0)
 
 
 def test_no_sentence_counts_no_steps():
     for t in (K / 100.1, K / 100.0 + 0.5 * (K == 7), K / 100.0 + 0.01 * (K > 7), np.sqrt(K)):
-        with pytest.raises(BadSignalError) as caught:
+        with pytest.raises(ls.errors.BadSignalError) as caught:
             check_rate(t, 100.0)
         assert " 0 such" not in str(caught.value)
 

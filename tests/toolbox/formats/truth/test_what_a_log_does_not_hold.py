@@ -3,13 +3,11 @@
 import known_loops
 import numpy as np
 import pytest
+from bench_nouns import step
 from scipy.signal import chirp, lfilter, tf2zpk
 
 import loopshape as ls
-from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.control.controller import step
 from loopshape.identify.signals import sum_was_logged
-from loopshape.io.run.run_folder import read_run, write_run
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.made_columns import answered, read_terms
 
@@ -93,7 +91,7 @@ def test_sums_have_signs_and_factors():
 )
 def test_sums_that_cannot_be_made_are_refused_with_their_cure(logged, old, new, word):
     assert old in MAP
-    with pytest.raises(WrongUseError, match=word):
+    with pytest.raises(ls.errors.WrongUseError, match=word):
         read(logged, MAP.replace(old, new))
 
 
@@ -127,10 +125,10 @@ def test_a_control_that_holds_the_injection_is_refused_from_arrays_and_from_file
         u, n, y = logged_loop(0, summed)
         run = ls.Run.from_arrays(u=u, y=y, excitation=n, injection="plant_input", rate_hz=known_loops.RATE)
         if stored:
-            write_run(tmp_path / f"run-{summed}", run)
-            run = read_run(tmp_path / f"run-{summed}")
+            ls.write(run, tmp_path / f"run-{summed}")
+            run = ls.read(tmp_path / f"run-{summed}")
         if not summed:
             assert ls.frf(run, estimator=estimator).trusted.any()
             continue
-        with pytest.raises(BadSignalError, match="holds the injected signal"):
+        with pytest.raises(ls.errors.BadSignalError, match="holds the injected signal"):
             ls.frf(run, estimator=estimator)

@@ -12,10 +12,9 @@ import numpy as np
 import own_machine
 import pytest
 import winch_fmu
+from bench_nouns import RecordingInfo
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.io.files import part_of
 from loopshape.toolbox.gap.mechanism.mockup import machine_of
 from loopshape.toolbox.gap.own.composed import Composed
@@ -39,7 +38,9 @@ def recording():
     """Two seconds of a moving lever: any will do, since both follow the same."""
     t = np.arange(1000) / 500.0
     torque, lever = 0.4 * np.sin(5 * t) + 0.1 * np.sin(31 * t), 0.3 * np.sin(5 * t - 0.4)
-    return Recording(RecordingInfo("r.parquet", "noise", "reference"), 500.0, {"torque_nm": torque, "lever_rad": lever})
+    return ls.Recording(
+        RecordingInfo("r.parquet", "noise", "reference"), 500.0, {"torque_nm": torque, "lever_rad": lever}
+    )
 
 
 def test_the_example_of_the_page_is_short():
@@ -75,7 +76,7 @@ def test_what_a_killed_process_unpacked_is_removed_by_the_next(tmp_path, monkeyp
 def test_both_follow_alike_with_effects_around_them_and_on_several_threads(tmp_path):
     plants = OwnMachine(machine(tmp_path, 2)), OwnMachine(own_machine.MODEL)
     r = recording()
-    run = Run(500.0, (), (r,))
+    run = ls.Run(500.0, (), (r,))
     f, expected = (p.prepare(r, run, None) for p in plants)
     np.testing.assert_allclose(f.start, expected.start)
     with ThreadPoolExecutor(4) as pool:
@@ -98,7 +99,7 @@ def test_what_does_not_fit_is_refused_in_a_sentence(tmp_path, old, new, words):
     winch_fmu.built(tmp_path, 2)
     assert old in WORDS
     (tmp_path / "model.toml").write_text(WORDS.replace(old, new))
-    with pytest.raises(LoopshapeError, match=re.escape(words)):
+    with pytest.raises(ls.LoopshapeError, match=re.escape(words)):
         machine_of(read_model(tmp_path / "model.toml"))
 
 
@@ -116,5 +117,5 @@ def test_an_fmu_that_cannot_be_followed_is_refused_in_a_sentence(tmp_path, monke
     monkeypatch.setattr(winch_fmu, "description", lambda version: text.replace(old, new))
     winch_fmu.built(tmp_path, 2)
     (tmp_path / "model.toml").write_text(WORDS)
-    with pytest.raises(LoopshapeError, match=re.escape(words)):
+    with pytest.raises(ls.LoopshapeError, match=re.escape(words)):
         machine_of(read_model(tmp_path / "model.toml"))

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import invoked
 
-from loopshape.cli.main import app
-from loopshape.io.run.run_folder import read_run
+import loopshape as ls
 from loopshape.toolbox.gap.commands.effects import catalogue_rows, markdown_table
 from loopshape.toolbox.rig import registry
 
@@ -30,7 +29,7 @@ references = { theta2 = { kind = "staircase", times_s = [0.5], values_deg = [14.
 
 def loopshape(*words: object) -> str:
     """Run a command in this process; gives what it printed."""
-    done = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    done = invoked(words, catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.stdout
 
@@ -42,7 +41,7 @@ def simulate(tmp_path: Path):
     def run(*options: str, words: str = "", name: str = "run"):
         (tmp_path / "study.toml").write_text(STUDY + words)
         loopshape("simulate", tmp_path / "study.toml", "--out", tmp_path / name, "--quiet", *options)
-        return read_run(tmp_path / name)
+        return ls.read(tmp_path / name)
 
     return run
 
@@ -102,7 +101,7 @@ stiffness_error = 0.25
 """
     (tmp_path / "study.toml").write_text(STUDY.split("[[experiment]]")[0] + excited)
     loopshape("measure", tmp_path / "study.toml", "--out", tmp_path / "run", "--quiet")
-    assert read_run(tmp_path / "run").extra["effects"] == {"stiffness_error": 0.25}
+    assert ls.read(tmp_path / "run").extra["effects"] == {"stiffness_error": 0.25}
     assert list((tmp_path / "run" / "frf").glob("*.npz"))
 
 

@@ -3,12 +3,10 @@
 import json
 
 import pytest
+from simulated_machines import Arm1, measure, plan, read_study
 from small_gap_run import KNOWN, MIDDLE, loopshape, recorded
 
-from loopshape.io.run.run_folder import write_run
-from loopshape.toolbox.arm.arm1 import Arm1
-from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.simulated import measure, plan
+import loopshape as ls
 
 KEYS = {
     "format": str, "run": str, "plant": str, "verdict": str, "ranking": list, "ambiguity_set": list, "kinds": dict,
@@ -22,7 +20,7 @@ KEYS = {
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("gap")
-    write_run(folder / "arm", recorded())
+    ls.write(recorded(), folder / "arm")
     return folder
 
 
@@ -121,7 +119,7 @@ def test_the_next_experiment_can_be_measured_as_written(done, answer):
 
 
 def test_a_healthy_arm_has_no_gap_and_nothing_to_shrink(place, tmp_path):
-    write_run(tmp_path / "healthy", recorded({}))
+    ls.write(recorded({}), tmp_path / "healthy")
     assert loopshape("gap", tmp_path / "healthy", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0
     found = json.loads((tmp_path / "gap.json").read_text())
     assert found["verdict"] == "none"

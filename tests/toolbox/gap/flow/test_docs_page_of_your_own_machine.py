@@ -10,8 +10,6 @@ import pytest
 from small_gap_run import loopshape
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError
-from loopshape.io.run.run_folder import write_run
 from loopshape.toolbox.gap.mechanism.mechanism import machine
 from loopshape.toolbox.gap.own.file import read_model
 
@@ -37,7 +35,7 @@ def test_the_example_is_short():
 
 @pytest.mark.long
 def test_the_example_runs_and_names_the_friction(folder, capsys):
-    write_run(folder / "runs/winch", own_machine.run_of(coulomb=0.03))
+    ls.write(own_machine.run_of(coulomb=0.03), folder / "runs/winch")
     assert loopshape(*COMMAND.split(), "--save-answer", "gap.json") == 0
     found = json.loads((folder / "gap.json").read_text())
     assert found["verdict"] == "coulomb_friction@bearing"
@@ -66,7 +64,7 @@ def test_the_example_runs_and_names_the_friction(folder, capsys):
 
 @pytest.mark.long
 def test_a_model_with_the_fix_taken_over_has_no_gap_any_more(folder):
-    write_run(folder / "runs/winch", own_machine.run_of(inertia=0.028))
+    ls.write(own_machine.run_of(inertia=0.028), folder / "runs/winch")
     assert loopshape(*COMMAND.split(), "--save-answer", "gap.json", "--quiet") == 0
     first, space, words = json.loads((folder / "gap.json").read_text()), {}, WORDS
     assert first["verdict"] == "payload@lever"
@@ -87,7 +85,7 @@ def test_a_model_with_the_fix_taken_over_has_no_gap_any_more(folder):
 def test_a_folder_as_the_page_shows_it_is_a_run(folder):
     run = folder / "runs/winch"
     run.mkdir(parents=True)
-    with pytest.raises(LoopshapeError, match="received winch without one; write one"):
+    with pytest.raises(ls.LoopshapeError, match="received winch without one; write one"):
         ls.read(run)
     (run / "run.toml").write_text(RUN_WORDS)
     rng = np.random.default_rng(1)
@@ -114,7 +112,7 @@ def test_the_mujoco_example_is_short():
 @pytest.mark.long
 def test_the_mujoco_example_runs_and_names_the_friction(winch):
     mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
-    write_run(winch / "runs/winch", own_machine.run_of(coulomb=0.03))
+    ls.write(own_machine.run_of(coulomb=0.03), winch / "runs/winch")
     assert loopshape(*COMMAND.split(), "--save-answer", "gap.json") == 0
     found = json.loads((winch / "gap.json").read_text())
     assert found["verdict"] == "coulomb_friction@bearing"
@@ -175,7 +173,7 @@ def test_a_mujoco_model_that_does_not_fit_is_refused_in_a_sentence(winch, file, 
     if "contype" in old:
         text = text.replace("<body name", '<geom type="plane" size="9 9 1" pos="0 0 0.1"/><body name')
     (winch / file).write_text(text.replace(old, new))
-    with pytest.raises(LoopshapeError, match=re.escape(words)):
+    with pytest.raises(ls.LoopshapeError, match=re.escape(words)):
         machine(read_model(winch / "model.toml"))
 
 
@@ -194,8 +192,8 @@ def test_what_a_good_model_leaves_stands_beside_the_column_whatever_the_model_is
 
 @pytest.mark.long
 def test_a_baseline_is_the_floor_of_the_command_and_the_answer_says_so(folder, capsys):
-    write_run(folder / "runs/winch", own_machine.run_of(2, cogging=0.02, inertia=0.028))
-    write_run(folder / "runs/good", own_machine.run_of(2, cogging=0.02))
+    ls.write(own_machine.run_of(2, cogging=0.02, inertia=0.028), folder / "runs/winch")
+    ls.write(own_machine.run_of(2, cogging=0.02), folder / "runs/good")
     assert loopshape(*COMMAND.split(), "--baseline", "runs/good", "--save-answer", "gap.json") == 0
     found = json.loads((folder / "gap.json").read_text())
     assert found["verdict"] == "payload@lever"
@@ -219,7 +217,7 @@ def test_a_baseline_goes_with_a_diagnosis(folder, capsys, beside, words):
 
 
 def test_a_run_is_no_baseline_of_its_own(folder, capsys):
-    write_run(folder / "runs/winch", ls.Run(500.0, (), (own_machine.recorded(0),)))
+    ls.write(ls.Run(500.0, (), (own_machine.recorded(0),)), folder / "runs/winch")
     assert loopshape(*COMMAND.split(), "--baseline", folder / "runs/winch") == 2
     assert "a baseline is another run than the one to diagnose; received r0.parquet in both" in capsys.readouterr().err
 
@@ -290,19 +288,19 @@ def test_a_urdf_is_a_machine_with_an_effort_at_every_joint(winch):
 def test_what_does_not_fit_is_refused_in_a_sentence(folder, old, new, words):
     assert old in WORDS
     (folder / "model.toml").write_text(WORDS.replace(old, new))
-    with pytest.raises(LoopshapeError, match=re.escape(words)):
+    with pytest.raises(ls.LoopshapeError, match=re.escape(words)):
         read_model(folder / "model.toml")
 
 
 def test_python_that_does_not_run_is_refused_in_a_sentence(folder):
     (folder / "winch.py").write_text("import no_such_thing_at_all\n")
-    with pytest.raises(LoopshapeError, match=r"winch.py does not run; received ModuleNotFoundError"):
+    with pytest.raises(ls.LoopshapeError, match=r"winch.py does not run; received ModuleNotFoundError"):
         read_model(folder / "model.toml")
 
 
 def test_a_run_never_loads_a_python_file_that_it_names_itself(folder):
     (folder / "winch.py").write_text("raise SystemExit('loaded')\n")
-    write_run(folder / "run", ls.Run.from_arrays(u=np.ones(4000), y=np.ones(4000), rate_hz=500.0))
+    ls.write(ls.Run.from_arrays(u=np.ones(4000), y=np.ones(4000), rate_hz=500.0), folder / "run")
     text = (folder / "run/run.toml").read_text()
     (folder / "run/run.toml").write_text('plant = "winch"\n' + text + '\n[model]\nfile = "../model.toml"\n')
     assert loopshape("gap", folder / "run") == 2

@@ -18,8 +18,8 @@ from exam import exam
 from exam_cases import Case, case_list, catalogue, library_run
 from examiner import EFFECTS, OUTSIDE
 
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.toolbox.gap.nouns.gap_report import GapReport, Ranked, Shrink, Where
+import loopshape as ls
+from loopshape.toolbox.gap.nouns.gap_report import Ranked, Shrink, Where
 
 PLAN = {"single": 4, "healthy": 2, "unknown": 1, "pairs": 2}
 
@@ -31,7 +31,9 @@ def report(name):
         Ranked("leak", 0.2, 0.2, (0.1, 0.3), "mm", "one"),
     ]
     gap = Shrink("rms", 9.0, 2.0, 0.875, (0.8, 0.9), ["rec09"])
-    return GapReport(name, "arm-1dof", "payload", ranking, ["payload", "leak"], where, gap, [], [], None, None, [], "")
+    return ls.gap.GapReport(
+        name, "arm-1dof", "payload", ranking, ["payload", "leak"], where, gap, [], [], None, None, [], ""
+    )
 
 
 @pytest.fixture
@@ -146,13 +148,13 @@ def test_an_interrupted_exam_goes_on_without_repeating(sat, tmp_path):
 )
 def test_another_exam_in_the_same_folder_is_refused(sat, tmp_path, words, what):
     sit(tmp_path)
-    with pytest.raises(WrongUseError, match=what):
+    with pytest.raises(ls.errors.WrongUseError, match=what):
         sit(tmp_path, **words)
 
 
 def test_a_folder_with_other_things_is_refused(sat, tmp_path):
     (tmp_path / "thesis.txt").write_text("mine")
-    with pytest.raises(WrongUseError, match=r"thesis\.txt"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"thesis\.txt"):
         sit(tmp_path)
     assert sat.names == []
 
@@ -166,7 +168,7 @@ def test_changed_labels_are_refused(sat, tmp_path, key):
     words["cases"][3][key] = {"labels": {"payload": 50.0}, "variant": 7, "kind": "healthy!", "nonce": "0"}[key]
     assert old != words["cases"][3][key]
     path.write_text(json.dumps(words))
-    with pytest.raises(WrongUseError, match=r"not those that were sealed.*case-004"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"not those that were sealed.*case-004"):
         sit(tmp_path)
 
 
@@ -175,25 +177,25 @@ def test_changed_seals_and_missing_labels_are_refused(sat, tmp_path):
     labels, sealed = tmp_path / "labels.json", tmp_path / "sealed.json"
     words = json.loads(labels.read_text())
     labels.write_text(json.dumps(words | {"cases": words["cases"][1:]}))
-    with pytest.raises(WrongUseError, match="8 of 9 cases"):
+    with pytest.raises(ls.errors.WrongUseError, match="8 of 9 cases"):
         sit(tmp_path)
     labels.write_text('{"cases": [{"name": "case-001"}]}')
-    with pytest.raises(LoopshapeError, match="labels of an exam"):
+    with pytest.raises(ls.LoopshapeError, match="labels of an exam"):
         sit(tmp_path)
     sealed.write_text(sealed.read_text().replace('"seal": "', '"seal": "0', 1))
-    with pytest.raises(WrongUseError, match="another cases"):
+    with pytest.raises(ls.errors.WrongUseError, match="another cases"):
         sit(tmp_path)
 
 
 def test_an_arm_that_leaves_its_range_is_drawn_again(monkeypatch):
     def make_run(labels, seed, variant):
         if seed < 12:
-            raise WrongUseError("the arm left its range", "", "")
+            raise ls.errors.WrongUseError("the arm left its range", "", "")
         return seed
 
     monkeypatch.setattr(examiner, "make_run", make_run)
     assert exam_cases.made(Case("case-001", "single", {"leak": 0.2}, 0, 10, "")) == 12
-    with pytest.raises(WrongUseError):
+    with pytest.raises(ls.errors.WrongUseError):
         exam_cases.made(Case("case-001", "single", {"leak": 0.2}, 0, -100, ""))
 
 

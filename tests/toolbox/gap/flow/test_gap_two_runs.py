@@ -4,16 +4,13 @@ import json
 from dataclasses import replace
 
 import pytest
+from bench_nouns import Multisine, Staircase, Sweep
+from simulated_machines import Arm1, ExperimentTemplate, header, measure
 
+import loopshape as ls
 from loopshape.cli.output import Output
-from loopshape.core.errors import LoopshapeError
-from loopshape.data.signal.excitation import Multisine, Staircase, Sweep
-from loopshape.io.run.run_folder import read_run, write_run
-from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.gap.commands.gap_two_runs import two_runs
 from loopshape.toolbox.gap.two_runs.table import compare
-from loopshape.toolbox.rig.simulated import header, measure
-from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 15.0, "p_ab_bar": 1.0})
 ODD = tuple(0.1 * k for k in range(3, 141, 2) if k % 8 != 7)
@@ -37,7 +34,7 @@ def study(seed, changes=None, prefix=""):
             references={"theta2": Staircase((1.0, 4.0), (0.15, 0.0)), "p_ab": Staircase((6.0,), (1.2,))},
         ),
     )  # fmt: skip
-    return Study("simulated", "arm-1dof", templates, POINTS, seed=seed, changes=changes or {})
+    return ls.rig.Study("simulated", "arm-1dof", templates, POINTS, seed=seed, changes=changes or {})
 
 
 def arm_run(**words):
@@ -55,7 +52,7 @@ def runs():
 def folders(runs, tmp_path_factory):
     place = tmp_path_factory.mktemp("two_runs")
     for name, run in runs.items():
-        write_run(place / name, run)
+        ls.write(run, place / name)
     return place
 
 
@@ -145,16 +142,16 @@ def test_it_is_quiet_when_asked_and_one_object_when_asked(folders, capsys):
 
 def test_what_only_one_run_holds_is_said(folders, runs, capsys):
     part = replace(runs["twin"], recordings=tuple(r for r in runs["twin"].recordings if "pressure" not in r.info.name))
-    table = compare(read_run(folders / "real"), part)
+    table = compare(ls.read(folders / "real"), part)
     assert [line for line in table.unmatched if "pressure-01" in line and "no counterpart" in line]
     assert not any(row.loop == "p_ab" for row in table.rows)
 
 
 def test_nothing_is_written_where_a_run_is_refused(folders, tmp_path):
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         two_runs(folders / "real", tmp_path / "nowhere", tmp_path / "gap.json", tmp_path / "report.png", Output())
-    with pytest.raises(LoopshapeError, match=r"a report is a picture as PNG; received .*report.pdf"):
+    with pytest.raises(ls.LoopshapeError, match=r"a report is a picture as PNG; received .*report.pdf"):
         two_runs(folders / "real", folders / "twin", tmp_path / "gap.json", tmp_path / "report.pdf", Output())
-    with pytest.raises(LoopshapeError):
+    with pytest.raises(ls.LoopshapeError):
         two_runs(folders / "real", folders / "twin", tmp_path / "gap.json", None, Output(), bands="thirds")
     assert list(tmp_path.iterdir()) == []

@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from simulated_machines import ServoAxis, import_file
 
-from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
-from loopshape.toolbox.servo.axis import ServoAxis
 
 ROOT = Path(__file__).parents[4]
 EMPS = Path(os.environ.get("LOOPSHAPE_DATA", ROOT / ".." / "shared" / "data")) / "emps"

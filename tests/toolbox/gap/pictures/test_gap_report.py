@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 
-from loopshape.toolbox.gap.nouns.gap_report import GapReport, Ranked, Shrink, Submodel, Trace, Where
+import loopshape as ls
+from loopshape.toolbox.gap.nouns.gap_report import Ranked, Shrink, Submodel, Trace, Where
 from loopshape.toolbox.gap.pictures.chain import chain, in_order, shares
 from loopshape.toolbox.gap.pictures.distances import distances
 from loopshape.toolbox.gap.pictures.report import errors, gap_figure, hypotheses, plainest, stretch, window
@@ -40,9 +41,9 @@ def rows(
     ]
 
 
-def single() -> GapReport:
+def single() -> ls.gap.GapReport:
     """A payload, plainly."""
-    return GapReport(
+    return ls.gap.GapReport(
         run="r",
         plant="arm-1dof",
         verdict="payload",
@@ -68,7 +69,7 @@ def single() -> GapReport:
     )  # fmt: skip
 
 
-def pair() -> GapReport:
+def pair() -> ls.gap.GapReport:
     ranking = [
         Ranked(
             PAIR, 0.8, form="a + b", parts={"backlash": (0.5, (0.4, 0.6), "deg"), "payload": (40.0, (30.0, 50.0), "g")}
@@ -81,7 +82,7 @@ def pair() -> GapReport:
     return replace(single(), verdict=PAIR, ranking=ranking, ambiguity=[[PAIR], ["payload"], ["none"]], where=where)
 
 
-def none() -> GapReport:
+def none() -> ls.gap.GapReport:
     gap = Shrink("rms", 1.1, 1.1, None, None, ("val0.parquet",))
     where = replace(single().where, block="none", blocks=dict(single().where.blocks) | {"none": 0.9, "body": 0.05})
     ranking = [Ranked("none", 0.9), *(replace(r, probability=0.02) for r in single().ranking[:3])]
@@ -92,7 +93,7 @@ def none() -> GapReport:
     )  # fmt: skip
 
 
-def unknown() -> GapReport:
+def unknown() -> ls.gap.GapReport:
     gap = Shrink("rms", 6.3, 6.3, 0.0, (0.0, 0.0), ("val0.parquet",))
     where = replace(single().where, block="unknown", blocks=dict(single().where.blocks) | {"unknown": 0.7, "body": 0.2})
     ranking = [Ranked("unknown", 0.7), *(r for r in single().ranking if r.effect != "unknown")]
@@ -102,11 +103,11 @@ def unknown() -> GapReport:
     )  # fmt: skip
 
 
-def without_validation() -> GapReport:
+def without_validation() -> ls.gap.GapReport:
     return replace(single(), gap=None, submodels=rows(1.1, 3.0, ("estimation",)))
 
 
-def of_ones_own() -> GapReport:
+def of_ones_own() -> ls.gap.GapReport:
     """A machine of a user's own: long names, two sensors, places that are no chain."""
     both = "actuator_gain_error@drive+coulomb_friction@ring"
     parts = {"actuator_gain_error@drive": (0.0075, (0.003, 0.012), "1"),

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Rectangle
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.toolbox.gap.nouns.gap_table import GapRow, GapTable
 from loopshape.toolbox.gap.pictures.table import gap_map
 from loopshape.view.style import figure_of, new_figure, png
@@ -115,5 +115,5 @@ def test_it_draws_into_a_given_axes_and_prints() -> None:
 
 
 def test_a_table_without_rows_is_refused() -> None:
-    with pytest.raises(WrongUseError, match="needs a table with FRF rows"):
+    with pytest.raises(ls.errors.WrongUseError, match="needs a table with FRF rows"):
         gap_map(GapTable("real", "sim", ()))

@@ -6,16 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Multisine
+from simulated_machines import FORMS, Arm1, ExperimentTemplate, header, measure
 
+import loopshape as ls
 from loopshape.cli.main import run as command
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.run import Run
-from loopshape.io.run.run_folder import write_run
-from loopshape.toolbox.arm.arm1 import Arm1
-from loopshape.toolbox.arm.effect.effects import FORMS
-from loopshape.toolbox.rig.simulated import header, measure
-from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 POINT = {"theta2_deg": 0.0, "p_ab_bar": 1.0}
 
@@ -31,7 +26,7 @@ def loopshape(*words: object) -> int:
 
 
 @pytest.fixture(scope="module")
-def good() -> Run:
+def good() -> ls.Run:
     """Two recordings at one point, both for estimation."""
     templates = tuple(
         ExperimentTemplate(
@@ -39,36 +34,36 @@ def good() -> Run:
         )
         for k in (1, 2)
     )
-    study = Study("simulated", "arm-1dof", templates, (POINT,), seed=4)
+    study = ls.rig.Study("simulated", "arm-1dof", templates, (POINT,), seed=4)
     effect = replace(study, changes={"payload_kg": 0.06})
     return replace(header(study, Arm1()), recordings=tuple(measure(effect, Arm1(), threads=1)))
 
 
-def changed(recording: Recording, name: str, **columns: np.ndarray | None) -> Recording:
+def changed(recording: ls.Recording, name: str, **columns: np.ndarray | None) -> ls.Recording:
     """The recording under another name, columns replaced, or left out where None."""
     kept = {k: v for k, v in (dict(recording.columns) | columns).items() if v is not None}
-    return Recording(replace(recording.info, file=f"{name}.parquet"), recording.rate_hz, kept)
+    return ls.Recording(replace(recording.info, file=f"{name}.parquet"), recording.rate_hz, kept)
 
 
-def short(recording: Recording, name: str, seconds: float) -> Recording:
+def short(recording: ls.Recording, name: str, seconds: float) -> ls.Recording:
     n = round(seconds * recording.rate_hz)
     cut = {k: v[:n] for k, v in recording.columns.items()}
-    return Recording(replace(recording.info, file=f"{name}.parquet"), recording.rate_hz, cut)
+    return ls.Recording(replace(recording.info, file=f"{name}.parquet"), recording.rate_hz, cut)
 
 
-def blind(recording: Recording, name: str) -> Recording:
+def blind(recording: ls.Recording, name: str) -> ls.Recording:
     return changed(recording, name, p_b_bar=None)
 
 
-def stuck(recording: Recording, name: str) -> Recording:
+def stuck(recording: ls.Recording, name: str) -> ls.Recording:
     """The angle's sensor is at its end for a third of the time."""
     angle = np.array(recording.column("theta2_rad"))
     return changed(recording, name, theta2_rad=np.minimum(angle, np.quantile(angle, 0.66)))
 
 
-def refused(run: Run, folder, capsys) -> str:
+def refused(run: ls.Run, folder, capsys) -> str:
     """What the command says of a run that it cannot use: one sentence, exit code 2, no file."""
-    write_run(folder / "run", run)
+    ls.write(run, folder / "run")
     return refused_folder(folder, capsys)
 
 
@@ -128,14 +123,14 @@ def test_no_plant(good, tmp_path, capsys) -> None:
 
 
 def test_a_damaged_table(good, tmp_path, capsys) -> None:
-    write_run(tmp_path / "run", good)
+    ls.write(good, tmp_path / "run")
     file = tmp_path / "run" / "r02.parquet"
     file.write_bytes(file.read_bytes()[:2000])
     assert "r02.parquet cannot be read" in refused_folder(tmp_path, capsys)
 
 
 def test_a_damaged_description(good, tmp_path, capsys) -> None:
-    write_run(tmp_path / "run", good)
+    ls.write(good, tmp_path / "run")
     toml = tmp_path / "run" / "run.toml"
     toml.write_text(toml.read_text().replace("rate_hz", "rate_hz ="))
     assert "run.toml cannot be read as TOML" in refused_folder(tmp_path, capsys)
@@ -155,7 +150,7 @@ def test_no_run_at_all(tmp_path, capsys) -> None:
 def test_what_is_left_is_diagnosed_and_what_it_cannot_tell_is_said(good, tmp_path, capsys) -> None:
     one, two = good.recordings
     bad = (short(one, "r04", 1.5), stuck(one, "r05"))
-    write_run(tmp_path / "run", replace(good, recordings=(one, two, *bad)))
+    ls.write(replace(good, recordings=(one, two, *bad)), tmp_path / "run")
     assert (
         loopshape("gap", tmp_path / "run", "--save-answer", tmp_path / "gap.json", "--report", tmp_path / "gap.png")
         == 0
@@ -176,14 +171,14 @@ def test_what_is_left_is_diagnosed_and_what_it_cannot_tell_is_said(good, tmp_pat
 
 
 def test_a_recording_without_a_pressure_among_good_ones_is_left_out(good, tmp_path) -> None:
-    write_run(tmp_path / "run", replace(good, recordings=(*good.recordings, blind(good.recordings[0], "r03"))))
+    ls.write(replace(good, recordings=(*good.recordings, blind(good.recordings[0], "r03"))), tmp_path / "run")
     assert loopshape("gap", tmp_path / "run", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0
     notes = json.loads((tmp_path / "gap.json").read_text())["notes"]
     assert "r03.parquet has no p_b_bar: it is left out; record them" in notes
 
 
 def test_one_recording_alone_is_diagnosed_with_a_note(good, tmp_path) -> None:
-    write_run(tmp_path / "run", replace(good, recordings=good.recordings[:1]))
+    ls.write(replace(good, recordings=good.recordings[:1]), tmp_path / "run")
     assert loopshape("gap", tmp_path / "run", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0
     found = json.loads((tmp_path / "gap.json").read_text())
     assert any(
@@ -192,9 +187,9 @@ def test_one_recording_alone_is_diagnosed_with_a_note(good, tmp_path) -> None:
     assert sum(row["probability"] for row in found["ranking"]) == pytest.approx(1.0)
 
 
-def notes_of(run: Run, folder) -> list[str]:
+def notes_of(run: ls.Run, folder) -> list[str]:
     """What the command notes of a run that it can use in part; exit code 0."""
-    write_run(folder / "run", run)
+    ls.write(run, folder / "run")
     assert loopshape("gap", folder / "run", "--save-answer", folder / "gap.json", "--quiet") == 0
     return json.loads((folder / "gap.json").read_text())["notes"]
 

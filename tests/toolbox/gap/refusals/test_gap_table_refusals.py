@@ -4,13 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopSetup, RecordingInfo
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.toolbox.gap.two_runs.nu_gap import nu_gap
 from loopshape.toolbox.gap.two_runs.table import compare
 from loopshape.toolbox.gap.two_runs.table_pairs import pair_recordings
@@ -25,26 +21,30 @@ def recording(name="one", seed=0, rate_hz=100.0, samples=4000, drop=(), **info):
     y = np.convolve(n, 0.5 ** np.arange(10))[:samples] + 0.01 * rng.standard_normal(samples)
     columns = {"r_rad": np.zeros(samples), "n_rad": n, "z_v": n - 0.1 * y, "y_rad": y}
     kept = {k: v for k, v in columns.items() if k not in drop}
-    return Recording(replace(INFO, file=f"{name}.parquet", **info), rate_hz, kept)
+    return ls.Recording(replace(INFO, file=f"{name}.parquet", **info), rate_hz, kept)
 
 
 def run(*recordings, rate_hz=100.0, loop=LOOP):
-    return Run(rate_hz, (loop,), recordings or (recording(),))
+    return ls.Run(rate_hz, (loop,), recordings or (recording(),))
 
 
 def test_two_rates() -> None:
-    with pytest.raises(WrongUseError, match=r"compared at one rate; received 100 and 200 Hz; import one with resample"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"compared at one rate; received 100 and 200 Hz; import one with resample"
+    ):
         compare(run(), run(rate_hz=200.0))
 
 
 def test_no_common_loop() -> None:
-    with pytest.raises(WrongUseError, match=r"share no loop.*loops axis and other; name the loops of both alike"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"share no loop.*loops axis and other; name the loops of both alike"
+    ):
         compare(run(), run(loop=replace(LOOP, name="other")))
 
 
 def test_an_unknown_kind_of_band() -> None:
     with pytest.raises(
-        WrongUseError,
+        ls.errors.WrongUseError,
         match=r"kind of band is not known; received 'decade'; did you mean 'third_decade'. use octave or third_decade",
     ):
         compare(run(), run(), bands="decade")
@@ -53,9 +53,9 @@ def test_an_unknown_kind_of_band() -> None:
 def test_a_nu_gap_on_other_lines() -> None:
     def plant(f):
         response, covariance = np.ones((f.size, 1, 1), dtype=complex), np.zeros((f.size, 1, 1), dtype=complex)
-        return FRF(f, response, covariance, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",), "")
+        return ls.FRF(f, response, covariance, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",), "")
 
-    with pytest.raises(WrongUseError, match="frequencies that both plants share"):
+    with pytest.raises(ls.errors.WrongUseError, match="frequencies that both plants share"):
         nu_gap(plant(np.arange(1.0, 9.0)), plant(np.arange(1.0, 10.0)))
 
 
@@ -102,7 +102,7 @@ def test_a_path_that_cannot_be_estimated_is_a_note() -> None:
 
 
 def test_controllers_that_differ_are_a_note() -> None:
-    loops = [replace(LOOP, controller=Controller("axis", (Block("gain", {"gain": g}),), 100.0)) for g in (0.1, 0.2)]
+    loops = [replace(LOOP, controller=ls.Controller("axis", (Block("gain", {"gain": g}),), 100.0)) for g in (0.1, 0.2)]
     table = compare(run(loop=loops[0]), run(recording(seed=1), loop=loops[1]))
     assert any("the controllers of loop axis differ" in note for note in table.notes)
 

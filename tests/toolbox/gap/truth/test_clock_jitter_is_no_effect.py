@@ -8,13 +8,12 @@ import small_gap_run
 from scipy.signal import butter, sosfiltfilt
 
 import loopshape as ls
-from loopshape.data.signal.recording import Recording
 
 JITTER_S = 6.5e-3
 SENSORS = ("theta2_rad", "p_a_bar", "p_b_bar")
 
 
-def jittered(recording: Recording, columns: tuple[str, ...], wander_hz: float | None, seed: int) -> Recording:
+def jittered(recording: ls.Recording, columns: tuple[str, ...], wander_hz: float | None, seed: int) -> ls.Recording:
     """Columns as they were at other times than their rows say: by white noise, or one that wanders below a corner."""
     n = len(recording.column("theta2_rad"))
     t, off_s = np.arange(n) / recording.rate_hz, np.random.default_rng(seed).standard_normal(n)

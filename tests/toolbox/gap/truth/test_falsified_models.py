@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.recording import Recording
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.toolbox.gap.own.plant import OwnMachine
 
 STUDY = Path(__file__).parents[4] / "experiments" / "falsified"
@@ -96,11 +94,11 @@ def test_a_column_of_a_real_recording_that_is_wrong_by_a_plain_factor_is_named(s
     model, run = study["false"](machine, study["honest"](machine), study["HONEST"])
     for column in model.columns:
         changed = [
-            Recording(r.info, r.rate_hz, {k: factor * v if k == column else v for k, v in r.columns.items()})
+            ls.Recording(r.info, r.rate_hz, {k: factor * v if k == column else v for k, v in r.columns.items()})
             for r in run.recordings
         ]
-        with pytest.raises(WrongUseError, match="mapped wrongly") as refused:
-            mapped(model, Run(run.rate_hz, (), tuple(changed)))
+        with pytest.raises(ls.errors.WrongUseError, match="mapped wrongly") as refused:
+            mapped(model, ls.Run(run.rate_hz, (), tuple(changed)))
         assert f'column = "{column}" by {1.0 / factor:.6g}' in str(refused.value)
 
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from examiner import make_run
+from simulated_machines import FORMS, Arm1
 
-from loopshape.toolbox.arm.arm1 import Arm1
-from loopshape.toolbox.arm.effect.effects import FORMS
 from loopshape.toolbox.gap.diagnose import attribute, decide, fitting, shrink
 from loopshape.toolbox.gap.diagnose.diagnose import attribute_effect
 from loopshape.toolbox.gap.diagnose.evidence import Evidence

@@ -6,12 +6,10 @@ firmware's law, in scipy; commands are sums of sines.
 
 import numpy as np
 import pytest
+from bench_nouns import RecordingInfo
 from scipy.integrate import solve_ivp
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.mechanism.fix import in_files
 from loopshape.toolbox.gap.mechanism.mechanism import machine
 from loopshape.toolbox.gap.nouns.effect import fix_of
@@ -89,8 +87,8 @@ def recorded(angles, seconds=8, count=5):
         read = np.round((angles(goal) + 2e-4 * np.random.default_rng(50 + k).normal(size=t.size)) / 4e-4) * 4e-4
         info = RecordingInfo(f"r{k}.parquet", "noise", "reference",
                              role="validation" if k == count - 1 else "estimation")  # fmt: skip
-        out.append(Recording(info, RATE_HZ, {"goal_rad": goal, "a_rad": read}))
-    return Run(RATE_HZ, (), tuple(out))
+        out.append(ls.Recording(info, RATE_HZ, {"goal_rad": goal, "a_rad": read}))
+    return ls.Run(RATE_HZ, (), tuple(out))
 
 
 def diagnosed(angles, **by_numbers):
@@ -166,7 +164,7 @@ def test_a_right_mapping_of_an_axis_that_sticks_is_not_taken_for_a_wrong_unit():
         data.ctrl[0] = u
         mujoco.mj_step(m, data, 10)
     read = np.array(x) + 1e-5 * np.random.default_rng(1).normal(size=len(x))
-    run = Run(RATE_HZ, (), (Recording(RecordingInfo("r.parquet", "noise", "reference"), RATE_HZ,
+    run = ls.Run(RATE_HZ, (), (ls.Recording(RecordingInfo("r.parquet", "noise", "reference"), RATE_HZ,
                                       {"f_n": force, "x_m": read}),))  # fmt: skip
 
     def checked(factor):
@@ -175,5 +173,5 @@ def test_a_right_mapping_of_an_axis_that_sticks_is_not_taken_for_a_wrong_unit():
         mapping.check(plant.composed, [plant.prepare(run.recordings[0], run, None)])
 
     checked(1.0)
-    with pytest.raises(WrongUseError, match="a sign is wrong"):
+    with pytest.raises(ls.errors.WrongUseError, match="a sign is wrong"):
         checked(-1.0)

@@ -6,10 +6,9 @@ from itertools import pairwise
 import known_loops as known
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
 
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.toolbox.gap.two_runs.table import compare
 from loopshape.toolbox.gap.two_runs.table_paths import bands_hz
 
@@ -22,7 +21,7 @@ def run(n, seed, gain=1.0, kind="noise", std=0.02, **period):
     v = std * np.random.default_rng(seed).standard_normal(n.size)
     z, y = known.run_loop("controller_input", n, v)
     recording = known.record("controller_input", kind, n, z, gain * y, **period)
-    return Run(known.RATE, (replace(known.LOOP, controller=None),), (recording,))
+    return ls.Run(known.RATE, (replace(known.LOOP, controller=None),), (recording,))
 
 
 def injected(kind, seed=0):
@@ -103,7 +102,7 @@ def steps(seed, offset=0.0, shift=0, std=1e-3):
     y = y + offset + std * np.random.default_rng(seed).standard_normal(r.size)
     info = RecordingInfo("steps.parquet", "staircase", "reference", operating_point={"y_rad": 0.0})
     loop = LoopSetup("axis", "r_rad", None, "z_v", "y_rad", None)
-    return Run(known.RATE, (loop,), (Recording(info, known.RATE, {"r_rad": r, "z_v": 0.0 * r, "y_rad": y}),))
+    return ls.Run(known.RATE, (loop,), (ls.Recording(info, known.RATE, {"r_rad": r, "z_v": 0.0 * r, "y_rad": y}),))
 
 
 def test_windows_and_rests_of_equal_inputs():

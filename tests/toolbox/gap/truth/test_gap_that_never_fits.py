@@ -11,8 +11,6 @@ import pytest
 from own_machine import MODEL, RATE_HZ, STEP_RAD, recorded, run_of
 
 import loopshape as ls
-from loopshape.core.errors import LoopshapeError, WrongUseError
-from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.ceiling import nameless
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
@@ -108,7 +106,7 @@ def test_an_answer_has_a_budget_a_place_and_a_curve_where_no_name_fits():
 def common(first=0, **effect):
     """A run of a winch that cogs, as every winch of this make does and no model of it."""
     own = [recorded(first + k, cogging=0.02, **effect) for k in range(3)]
-    return Run(RATE_HZ, (), (*own, recorded(first + 9, cogging=0.02, role="validation", **effect)))
+    return ls.Run(RATE_HZ, (), (*own, recorded(first + 9, cogging=0.02, role="validation", **effect)))
 
 
 @pytest.mark.long
@@ -142,7 +140,7 @@ def test_a_window_that_nobody_states_is_chosen_and_told():
 
 
 def test_what_matters_is_a_share():
-    with pytest.raises(WrongUseError, match="share of the motion"):
+    with pytest.raises(ls.errors.WrongUseError, match="share of the motion"):
         ls.gap.Model(
             "m",
             lambda t, x, u, p: (x[0],),
@@ -193,7 +191,7 @@ def test_what_a_good_model_leaves_is_the_floor_where_it_is_stated_but_no_less_th
 
 
 def run_with(*recordings):
-    return Run(RATE_HZ, (), recordings)
+    return ls.Run(RATE_HZ, (), recordings)
 
 
 def test_the_floor_of_a_baseline_is_what_is_left_there_and_one_window_does_not_set_it():
@@ -207,12 +205,12 @@ def test_the_floor_of_a_baseline_is_what_is_left_there_and_one_window_does_not_s
 
 @pytest.mark.parametrize("leaves", [0.0, -0.4, float("nan"), float("inf"), "0.4", True])
 def test_what_a_good_model_leaves_is_a_number_above_0(leaves):
-    with pytest.raises(WrongUseError, match=r"leaves of (output encoder|an Output)"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"leaves of (output encoder|an Output)"):
         stating(encoder=leaves)
 
 
 def test_what_a_good_model_leaves_goes_with_a_window_of_known_length():
-    with pytest.raises(WrongUseError, match=r"leaves of output encoder .*give window_s"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"leaves of output encoder .*give window_s"):
         replace(stating(encoder=0.004), window_s=None)
 
 
@@ -236,7 +234,7 @@ def other(**changed):
 )  # fmt: skip
 def test_a_baseline_that_is_not_comparable_is_refused_in_a_sentence(baseline, model, words):
     run = replace(run_with(swung()), plant="servo-axis")
-    with pytest.raises(LoopshapeError, match=words):
+    with pytest.raises(ls.LoopshapeError, match=words):
         ls.gap(run, model=model, baseline=baseline(), table=False)
 
 

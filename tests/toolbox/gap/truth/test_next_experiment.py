@@ -4,17 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, Multisine, RecordingInfo, Staircase
+from simulated_machines import Arm1, ExperimentTemplate, header, measure, plan
+from simulated_machines import experiment as rig_experiment
 
-from loopshape.data.signal.excitation import Multisine, Staircase
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.toolbox.arm.arm1 import Arm1
+import loopshape as ls
 from loopshape.toolbox.gap.recordings import next_experiment as nxt
 from loopshape.toolbox.gap.recordings.probing import habits
-from loopshape.toolbox.rig.simulated import experiment as rig_experiment
-from loopshape.toolbox.rig.simulated import header, measure, plan
-from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 20.0, "p_ab_bar": 1.4})
 FRICTION = {"coulomb_nm": 0.1, "coulomb_rad_s": 0.03}
@@ -23,7 +19,7 @@ PAYLOAD = {"payload_kg": 0.06}
 
 @pytest.fixture(scope="module")
 def run():
-    study = Study(
+    study = ls.rig.Study(
         "simulated",
         "arm-1dof",
         (
@@ -101,7 +97,9 @@ def test_the_study_holds_the_signals_that_were_simulated(run) -> None:
     for candidate in nxt.candidates(plant, run, (PAYLOAD, FRICTION))[:12]:
         mine = nxt.experiment(run, candidate)
         controllers = {loop.name: loop.controller.blocks for loop in run.loops}
-        study = Study("simulated", plant.name, (candidate.template,), (candidate.point,), controllers=controllers)
+        study = ls.rig.Study(
+            "simulated", plant.name, (candidate.template,), (candidate.point,), controllers=controllers
+        )
         theirs = rig_experiment(study, plant, plan(study, plant)[0])
         assert theirs.injection == mine.injection
         n = mine.samples - round(nxt.RAMP_S * run.rate_hz)  # then one period ramps out where the study goes on
@@ -137,7 +135,7 @@ def test_a_loop_that_is_excited_at_once_with_another_has_habits_too():
     loops = tuple(LoopSetup(x, None, f"n_{x}_v", f"z_{x}_v", f"{x}_rad", None) for x in ("a", "b"))
     columns = {f"{signal}_{x}_v": rng.standard_normal(2000) for signal in ("n", "z") for x in ("a", "b")}
     info = RecordingInfo("r01.parquet", "noise", "plant_input", excites="a", excites_also=("b",))
-    found = habits(Run(100.0, loops, (Recording(info, 100.0, columns),))).injected
+    found = habits(ls.Run(100.0, loops, (ls.Recording(info, 100.0, columns),))).injected
     assert {loop: (size, place) for loop, (size, place, _) in found.items()} == {
         x: (np.abs(columns[f"n_{x}_v"]).max(), "plant_input") for x in ("a", "b")
     }

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from conversions import TWO_PI, angular, rad
 
-from loopshape.core.units import TWO_PI, angular, rad
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.toolbox.gap.two_runs.nu_gap import kappa, nu_gap, order_of, shaped
 
 F_HZ = np.geomspace(1e-4, 1e3, 3000)
@@ -17,7 +17,7 @@ def frf(num, den, f_hz=F_HZ, std=0.0, rng=None, delay_s=0.0):
     variance = (std * np.abs(P)) ** 2
     if std:
         P = P + np.sqrt(0.5 * variance) * (rng.standard_normal(P.size) + 1j * rng.standard_normal(P.size))
-    return FRF(
+    return ls.FRF(
         frequency_hz=f_hz,
         response=P[:, None, None],
         covariance=variance[:, None, None].astype(complex),
@@ -191,7 +191,10 @@ def test_the_interval_covers_and_the_value_is_not_pulled_up(std, pair):
 
 def test_a_controller_shapes_response_and_covariance_alike():
     rng, f_hz = np.random.default_rng(5), np.linspace(0.1, 10.0, 50)
-    plant, controller = frf(*arm_like(5.0), f_hz, 0.02, rng), Controller("a", (Block("gain", {"gain": 3.0}),), 1000.0)
+    plant, controller = (
+        frf(*arm_like(5.0), f_hz, 0.02, rng),
+        ls.Controller("a", (Block("gain", {"gain": 3.0}),), 1000.0),
+    )
     L = shaped(plant, controller)
     np.testing.assert_allclose(L.siso, 3.0 * plant.siso)
     np.testing.assert_allclose(L.variance, 9.0 * plant.variance)

@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import RecordingInfo
 from scipy.integrate import solve_ivp
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.own.composed import Composed
 
 J, D, WEIGHT, SPRING, LOAD, LOAD_D, STIFF, COUPLING_D = 0.010, 0.03, 0.40, 0.5, 0.015, 0.02, 30.0, 0.03
@@ -75,13 +73,13 @@ def recorded(k, role="estimation", coulomb=0.0):
         torque[i] = 3.0 * (r[i] - read[0, i]) - 0.05 * speed
         x = solve_ivp(slope, (0.0, 1.0 / RATE_HZ), x, "DOP853", args=(torque[i],), rtol=1e-7, atol=1e-9).y[:, -1]
     info = RecordingInfo(f"r{k}.parquet", "noise", "reference", role=role, operating_point={"arm_rad": 0.0})
-    return Recording(info, RATE_HZ, {"torque_nm": torque, "motor_rad": read[0], "load_rad": read[1]})
+    return ls.Recording(info, RATE_HZ, {"torque_nm": torque, "motor_rad": read[0], "load_rad": read[1]})
 
 
 @cache
 def run(coulomb=0.0):
     own = [recorded(k, coulomb=coulomb) for k in range(3)]
-    return Run(RATE_HZ, (), (*own, recorded(9, "validation", coulomb)))
+    return ls.Run(RATE_HZ, (), (*own, recorded(9, "validation", coulomb)))
 
 
 def diagnosed(coulomb=0.0):
@@ -137,5 +135,5 @@ def test_a_file_says_the_same(tmp_path):
     ("tolerance = 0.03", "tolerance = 3", "a share from 0 to 1"),
 ])  # fmt: skip
 def test_a_wrong_file_is_refused_in_words(tmp_path, old, new, said):
-    with pytest.raises(WrongUseError, match=said):
+    with pytest.raises(ls.errors.WrongUseError, match=said):
         written(tmp_path, old, new)

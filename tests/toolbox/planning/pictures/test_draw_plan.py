@@ -3,8 +3,8 @@
 import known_loops as known
 import numpy as np
 import pytest
+from bench_nouns import Multisine
 
-from loopshape.data.signal.excitation import Multisine
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_pictures import plan_page

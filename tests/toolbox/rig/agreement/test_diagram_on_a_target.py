@@ -14,7 +14,6 @@ from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
 from two_targets import Second
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.toolbox.rig.target.blocks import Block
 from loopshape.toolbox.rig.target.messages import Ask, Configuration, Identity, begin
 
@@ -103,7 +102,8 @@ def test_the_target_in_python_is_the_simulation(tmp_path, name):
 
 def on_bench(name):
     """The C core's blocks for a diagram: loop k has sensor k, both references stay at 0."""
-    from loopshape.data.signal.experiment import LoopSetup
+    from bench_nouns import LoopSetup
+
     from loopshape.toolbox.rig.target.blocks import blocks
 
     D, models, wires = diagrams(name)
@@ -310,7 +310,7 @@ def refused(tmp_path, wired, words, rig="target", **board):
     """Measuring on the target in Python is refused with these words before anything moves."""
     study = write_study(tmp_path, study_text(count=1).replace('rig = "target"', f'rig = "{rig}"'))
     one = target(1, **board)
-    with Running(lambda: one) as running, pytest.raises(WrongUseError, match=words):
+    with Running(lambda: one) as running, pytest.raises(ls.errors.WrongUseError, match=words):
         ls.rig.measure(study, tmp_path / "run", port=running.port, arm=True, diagram=wired)
     assert Ask.CONFIGURE not in [kind for kind, _ in one.log]
 
@@ -333,7 +333,7 @@ def test_what_cannot_run_is_refused_in_a_sentence(tmp_path):
         ls.diagrams.Wired(D.with_part("C", None), wires),
         "not known on the target; received u is what C gives",
     )
-    with pytest.raises(WrongUseError, match="no such signal; received x"):
+    with pytest.raises(ls.errors.WrongUseError, match="no such signal; received x"):
         ls.diagrams.Wired(D, {"x": "angle1_rad"})
     loop = (
         ls.diagrams.Part("C", "e", "u", controller(ls.gain(1.0))),
@@ -359,5 +359,5 @@ def test_what_cannot_run_is_refused_in_a_sentence(tmp_path):
 def test_a_simulated_rig_refuses_a_diagram(tmp_path):
     D, _, wires = diagrams("prefilter")
     (tmp_path / "s.toml").write_text(HEAD.replace('"target"', '"simulated"') + MOVED)
-    with pytest.raises(WrongUseError, match="runs a controller in each loop, no diagram"):
+    with pytest.raises(ls.errors.WrongUseError, match="runs a controller in each loop, no diagram"):
         ls.rig.measure(tmp_path / "s.toml", tmp_path / "run", diagram=ls.diagrams.Wired(D, wires))

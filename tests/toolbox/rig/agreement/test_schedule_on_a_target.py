@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
+from bench_nouns import Follows, Variable
 from emulated_cases import ARM_ON_A_TARGET, emulator, excited, record, settings
 from python_target_line import Running
 from python_target_schedule import Schedule
@@ -13,9 +14,7 @@ from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
 from two_targets import Second
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels import scheduled
-from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable
 from loopshape.toolbox.rig.target.messages import Ask, Configuration, Identity
 from loopshape.toolbox.rig.target.scheduling import Scheduling
 from loopshape.toolbox.rig.target.target import configuration
@@ -39,7 +38,7 @@ def schedule(loop, variables, lag_s=0.05, gain=4.0, blocks=2):
         )
         for k in range(nodes)
     ]  # fmt: skip
-    return GainScheduled(loop, variables, tuple(made), lag_s)
+    return ls.schedules.GainScheduled(loop, variables, tuple(made), lag_s)
 
 
 def with_schedules(e, *schedules):
@@ -255,7 +254,9 @@ def test_a_target_without_schedules_says_so_and_is_refused_in_a_sentence(make, a
     assert one.no(Ask.NODES, b"") == 8
     one.close()
     e = with_schedules(moving(arm_experiment, 10), schedule("theta2", OVER_BOTH))
-    with pytest.raises(WrongUseError, match="the target takes no schedule; received theta2; build the target anew"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match="the target takes no schedule; received theta2; build the target anew"
+    ):
         configuration(me, e.loops, settings(), 1000.0, {})
 
 
@@ -264,13 +265,15 @@ def test_both_targets_with_schedules_say_so(either):
 
 
 def test_a_schedule_that_follows_a_loop_that_is_not_there_is_refused():
-    with pytest.raises(WrongUseError, match="follows a loop that is not there; received elbow"):
+    with pytest.raises(ls.errors.WrongUseError, match="follows a loop that is not there; received elbow"):
         Scheduling.of(schedule("theta2", (Variable("x", (0.0, 1.0), "elbow"),)), ("theta2", "p_ab"))
 
 
 def test_knots_beyond_a_message_are_refused():
     one = Scheduling(0.5, 1, ((0, 1.0, tuple(range(123))),), np.ones((123, 6)))
-    with pytest.raises(WrongUseError, match="the knots of a schedule fit into one message; received 123 knots"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match="the knots of a schedule fit into one message; received 123 knots"
+    ):
         one.payloads(0)
 
 

@@ -4,16 +4,17 @@ import struct
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from target_cases import GAIN, INFINITE, Bench
 
+import loopshape as ls
 from loopshape.core.kernels import biquads
-from loopshape.data.control.controller import Block, Controller
 from loopshape.toolbox.arm.dynamics import pwm
 from loopshape.toolbox.rig.target.messages import Ask
 
 RATE_HZ = 1000.0
 WIDE = np.array([[-1e6, 1e6, INFINITE]] * 5)
-SERIES = Controller(
+SERIES = ls.Controller(
     "theta2",
     (
         Block("gain", {"gain": 11.0}),

@@ -7,8 +7,8 @@ from python_target import Board, Target
 from python_target_line import Pty, Running
 from python_target_machine import Axes
 
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.io.run.run_folder import read_run
 
 MOVING = 'references = { axis1 = { kind = "staircase", times_s = [0.2, 0.5], values_rad = [0.2, -0.1] } }'
 CONTROL = """
@@ -74,7 +74,7 @@ def test_the_frf_is_the_machine_s(tmp_path, injection):
     text = study_text(experiment("one", injection, amplitude[1], amplitude[0], periods=8))
     with Running(lambda: Target(Axes(noise_rad=1e-6), Board())) as running:
         measured(write_study(tmp_path, text), tmp_path / "run", running.port)
-    run = read_run(tmp_path / "run")
+    run = ls.read(tmp_path / "run")
     frf = estimate_frf(run.recordings[0], run.loops[0])
     z = np.exp(2j * np.pi * frf.frequency_hz / 1000.0)
     truth = np.array([Axes().response(one, 0, 0) for one in z])

@@ -7,12 +7,11 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 from axis_study import target
+from commands import invoked
 from emulated_cases import emulator, settings
 from python_target_line import Running
-from typer.testing import CliRunner
 
-from loopshape.cli.main import app
-from loopshape.core.errors import RigError
+import loopshape as ls
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Reason, Say, State
 from loopshape.toolbox.rig.target.session import Session
@@ -43,7 +42,7 @@ def silent(port):
 def stopped(port):
     """`loopshape stop PORT`: what it says, and how long it took."""
     begun = time.monotonic()
-    result = CliRunner().invoke(app, ["stop", port])
+    result = invoked(["stop", port])
     assert result.exit_code == 0, result.exception
     return result.stdout, time.monotonic() - begun
 
@@ -88,7 +87,7 @@ def test_another_host_is_told_why_it_has_to_wait(a_target):
         with (
             session.kept_alive(0.1),
             open_link(port, 0) as second,
-            pytest.raises(RigError, match="refuses ALIVE; received another host is connected"),
+            pytest.raises(ls.errors.RigError, match="refuses ALIVE; received another host is connected"),
         ):
             Session(second).status()
         assert session.status().state is State.IDLE

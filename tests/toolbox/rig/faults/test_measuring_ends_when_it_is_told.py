@@ -6,9 +6,7 @@ import sys
 import time
 
 import pytest
-
-from loopshape.io.run.run_folder import finished
-from loopshape.io.run.verify import verify
+from run_files import finished, verify
 
 pytestmark = pytest.mark.long
 

@@ -9,11 +9,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from run_files import finished, verify
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError
-from loopshape.io.run.run_folder import finished, read_run
-from loopshape.io.run.verify import verify
-from loopshape.toolbox.rig.verbs.machine import measure
+import loopshape as ls
 
 RECORDINGS = 24
 STUDY = f"""
@@ -34,7 +32,7 @@ pytestmark = [pytest.mark.long, pytest.mark.skipif(not hasattr(os, "fork"), reas
 def study(tmp_path_factory):
     path = tmp_path_factory.mktemp("kills") / "study.toml"
     path.write_text(STUDY)
-    measure(path, path.parent / "whole")  # compiled before any child is made
+    ls.rig.measure(path, path.parent / "whole")  # compiled before any child is made
     return path
 
 
@@ -46,7 +44,7 @@ def child(work):
     code = 0
     try:
         work()
-    except LoopshapeError:
+    except ls.LoopshapeError:
         code = 2
     except BaseException:
         code = 3
@@ -63,9 +61,9 @@ def is_sound(run):
 
 def is_the_whole(run, study):
     """Every recording is, number by number, that of a measurement nobody disturbed."""
-    whole = read_run(study.parent / "whole")
+    whole = ls.read(study.parent / "whole")
     assert finished(run) == {r.info.name for r in whole.recordings}
-    for r in read_run(run).recordings:
+    for r in ls.read(run).recordings:
         there = whole.recording(r.info.name)
         assert all(np.array_equal(r.column(name), there.column(name)) for name in there.columns)
 
@@ -75,7 +73,7 @@ def test_kills_at_random_times(study, many):
     rng, have, kills, turn = random.Random(many), set(), 0, 0
     run = study.parent / f"kills-{many}-0"
     while kills < many:
-        pid = child(partial(measure, study, run))
+        pid = child(partial(ls.rig.measure, study, run))
         time.sleep(rng.uniform(0.0, 0.06))
         os.kill(pid, signal.SIGKILL)
         _, status = os.waitpid(pid, 0)
@@ -87,7 +85,7 @@ def test_kills_at_random_times(study, many):
             is_the_whole(run, study)
             turn, have = turn + 1, set()
             run = study.parent / f"kills-{many}-{turn}"
-    measure(study, run)
+    ls.rig.measure(study, run)
     is_sound(run)
     is_the_whole(run, study)
 
@@ -122,12 +120,12 @@ def test_a_kill_before_each_single_step_of_writing(study):
         before = is_sound(run)
         if len(before) == RECORDINGS:
             before, run = set(), study.parent / f"steps-{number}"
-        pid = child(partial(killed_at, number, partial(measure, study, run)))
+        pid = child(partial(killed_at, number, partial(ls.rig.measure, study, run)))
         _, status = os.waitpid(pid, 0)
         died += os.WIFSIGNALED(status)
         assert before <= is_sound(run)
     assert died >= 40
-    measure(study, run)
+    ls.rig.measure(study, run)
     is_the_whole(run, study)
     assert [p.name for p in run.iterdir() if p.name.endswith(".part")] == []
 
@@ -136,25 +134,25 @@ def test_a_kill_before_each_single_step_of_writing(study):
 def test_a_full_disk_ends_in_a_sentence_and_the_work_goes_on_later(study, room_bytes, tmp_path):
     def on_a_full_disk():
         resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, resource.RLIM_INFINITY))
-        measure(study, tmp_path / "run")
+        ls.rig.measure(study, tmp_path / "run")
 
     _, status = os.waitpid(child(on_a_full_disk), 0)
     assert os.WIFEXITED(status)
     assert os.WEXITSTATUS(status) == 2
     is_sound(tmp_path / "run")
-    measure(study, tmp_path / "run")
+    ls.rig.measure(study, tmp_path / "run")
     is_the_whole(tmp_path / "run", study)
 
 
 def test_run_toml_cut_short_is_said_and_not_written_over(study, tmp_path):
     run = tmp_path / "run"
-    measure(study, run)
+    ls.rig.measure(study, run)
     content = (run / "run.toml").read_bytes()
     tables = {path: path.read_bytes() for path in run.glob("*.parquet")}
     for size in range(0, len(content), 397):
         (run / "run.toml").write_bytes(content[:size])
-        with pytest.raises(LoopshapeError):
-            measure(study, run)
+        with pytest.raises(ls.LoopshapeError):
+            ls.rig.measure(study, run)
         assert (run / "run.toml").read_bytes() == content[:size]
     assert {path: path.read_bytes() for path in run.glob("*.parquet")} == tables
     (run / "run.toml").write_bytes(content)
@@ -163,10 +161,10 @@ def test_run_toml_cut_short_is_said_and_not_written_over(study, tmp_path):
 
 def test_a_table_cut_short_is_not_read(study, tmp_path):
     run = tmp_path / "run"
-    measure(study, run)
+    ls.rig.measure(study, run)
     path = run / "angle-r1.parquet"
     content = path.read_bytes()
     for size in range(0, len(content), 1 + len(content) // 40):
         path.write_bytes(content[:size])
-        with pytest.raises(UnreadableInputError):
-            read_run(run).recording("angle-r1").column("theta2_rad")
+        with pytest.raises(ls.errors.UnreadableInputError):
+            ls.read(run).recording("angle-r1").column("theta2_rad")

@@ -10,13 +10,11 @@ import pandas as pd
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
 from python_target_line import Faults, Running
+from run_files import finished, read_journal, verify
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError
+import loopshape as ls
 from loopshape.io.run.arriving import ARRIVING, EARLIER, arriving, keep_arrived, read_arriving
-from loopshape.io.run.journal import read_journal
-from loopshape.io.run.run_folder import finished, read_run
-from loopshape.io.run.verify import verify
-from loopshape.toolbox.rig.verbs.machine import ended_early, measure
+from loopshape.toolbox.rig.verbs.machine import ended_early
 
 NAMES = ["x_rad", "u_v"]
 
@@ -57,7 +55,7 @@ def test_changed_anywhere_nothing_wrong_is_read(tmp_path):
         path.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
         try:
             found = rows_of(path)
-        except (UnreadableInputError, KeyError):
+        except (ls.errors.UnreadableInputError, KeyError):
             continue
         np.testing.assert_array_equal(found, rows[: len(found)])
         assert at > len(data) - 100 or len(found) < len(rows)
@@ -84,7 +82,7 @@ def test_a_lost_line_keeps_what_came_and_the_same_command_goes_on(tmp_path, even
     monkeypatch.setattr(session, "ANSWER_S", 0.05)
     study, run = write_study(tmp_path, study_text(experiment(periods=6))), tmp_path / "run"
     with Running(target, Faults(event=event, when="run", at=1000)) as running:
-        with pytest.raises(LoopshapeError):
+        with pytest.raises(ls.LoopshapeError):
             measured(study, run, running.port)
         running.silent = False
         kept, truth = kept_rows(run), expected_rows(study, "one")
@@ -147,9 +145,9 @@ def test_what_a_limit_ended_is_made_again_on_request_alone(tmp_path):
     lame = lambda: target(ignores_limits=False)  # noqa: E731
     with Running(lame) as running:
         running.target.machine.gain = 0.0  # it does not move, and passes no limit
-        assert ended_early(measure(study, run, port=running.port, arm=True, again=True)) == []
+        assert ended_early(ls.rig.measure(study, run, port=running.port, arm=True, again=True)) == []
     assert finished(run) == before
-    assert read_run(run).recording("large").info.file == "large.again-1.parquet"
+    assert ls.read(run).recording("large").info.file == "large.again-1.parquet"
     assert table(run, "large", "plant_input")["s1"].size > first["s1"].size
     np.testing.assert_array_equal(pd.read_parquet(run / EARLIER / "large-1.parquet")["angle1_rad"], first["s1"])
     assert [path.name for path in sorted(run.glob("*.parquet"))] == ["large.again-1.parquet", "small.parquet"]

@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 import typer
 from plant_behind import plant_behind
+from run_files import read_predictions
 from typer.testing import CliRunner, Result
 
+import loopshape as ls
 from loopshape.cli.estimate.fit import fit_run
 from loopshape.cli.output import Output
 from loopshape.cli.verify.compare import compare
 from loopshape.cli.verify.predict import predict
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.io.run.run_folder import read_run
-from loopshape.io.write.predictions import read_predictions
 from loopshape.loop.predict.remeasured import remeasure
-from loopshape.loop.verdict import check
 from loopshape.toolbox.rig.commands.measure import measure
 
 app = typer.Typer()
@@ -110,7 +108,7 @@ def test_a_prediction_is_written_whole_and_reads_back(folder: Path) -> None:
 
 
 def test_the_run_was_made_under_the_controllers_of_the_file(folder: Path) -> None:
-    loop = read_run(folder / "new").loop("theta2")
+    loop = ls.read(folder / "new").loop("theta2")
     assert loop.controller is not None
     assert loop.controller.blocks[0].parameters["gain"] == 11.0
     assert len(loop.controller.blocks) == 4
@@ -137,8 +135,8 @@ def test_a_prediction_of_another_gain_did_not_hold_and_exit_code_is_1(folder: Pa
     """The rig's gain fell by a third after the prediction was made: here, the prediction is of a larger plant."""
     from dataclasses import replace
 
-    from loopshape.io.write.frfs import read_frfs
-    from loopshape.io.write.predictions import write_predictions
+    from run_files import read_frfs, write_predictions
+
     from loopshape.loop.predict.prediction import predict as predict_loop
 
     made = read_predictions(folder / "prediction.npz")[0].controller
@@ -159,11 +157,11 @@ def test_a_run_under_another_controller_is_refused(folder: Path, tmp_path: Path)
 
 def test_the_loop_that_ran_passes_a_check_of_its_recordings(folder: Path) -> None:
     """The plant behind the measured sensitivity, held against requirements: what ran, and not what was identified."""
-    again = read_run(folder / "new")
+    again = ls.read(folder / "new")
     found = remeasure(again, read_predictions(folder / "prediction.npz"), tolerance_db=1.5)
     plants = [plant_behind(frf, again.loop("theta2").control) for one in found for frf in one.measured]
-    wished = Requirements("theta2", sensitivity_peak_db=9.0, phase_margin_deg=25.0, integrators=1, unstable_poles=0)
-    verdict = check(plants, found[0].prediction.controller, wished)
+    wished = ls.Requirements("theta2", sensitivity_peak_db=9.0, phase_margin_deg=25.0, integrators=1, unstable_poles=0)
+    verdict = ls.check(plants, found[0].prediction.controller, wished)
     assert verdict.outcome == "passed", verdict
-    tighter = Requirements("theta2", sensitivity_peak_db=1.0, integrators=1, unstable_poles=0)
-    assert check(plants, found[0].prediction.controller, tighter).outcome == "failed"
+    tighter = ls.Requirements("theta2", sensitivity_peak_db=1.0, integrators=1, unstable_poles=0)
+    assert ls.check(plants, found[0].prediction.controller, tighter).outcome == "failed"

@@ -11,12 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulated_cases import emulator, excited, needs_a_compiler, record, settings
+from simulated_machines import plant_file
 from target_cases import WARNINGS
 from typer.testing import CliRunner
 
-from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+import loopshape as ls
 from loopshape.core.folders import cache_folder
-from loopshape.toolbox.arm.emulated import plant_file
 from loopshape.toolbox.rig import emulator as rig
 from loopshape.toolbox.rig.emulator import Emulator, NoCompilerError, program, start, stop
 from loopshape.toolbox.rig.target.link import open_link
@@ -35,7 +35,9 @@ def test_every_source_lies_in_the_package():
 
 
 def test_a_plant_without_a_board_is_refused():
-    with pytest.raises(WrongUseError, match=r"this plant has no emulator; received 'servo-axis'; use one of arm-1dof"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"this plant has no emulator; received 'servo-axis'; use one of arm-1dof"
+    ):
         rig.board("servo-axis")
 
 
@@ -68,22 +70,22 @@ def test_a_compiler_that_fails_leaves_nothing_behind(tmp_path, monkeypatch):
 
 
 def test_effects_that_it_does_not_know_are_refused():
-    with pytest.raises(WrongUseError, match=r"does not know every effect; received coulomb_nm"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"does not know every effect; received coulomb_nm"):
         plant_file({"coulomb_nm": 0.2, "payload_kg": 0.1})
 
 
 @pytest.mark.parametrize("words", [{"number_bytes": 2}, {"drop": 1.0}, {"corrupt": -0.1}, {"tcp": 70000}])
 def test_options_out_of_range_are_refused(words):
-    with pytest.raises(WrongUseError):
+    with pytest.raises(ls.errors.WrongUseError):
         Emulator(plant_file(), **words)
 
 
 def test_a_plant_without_a_rest_does_not_start():
     needs_a_compiler()
-    with pytest.raises(WrongUseError, match="cannot stand there"):
+    with pytest.raises(ls.errors.WrongUseError, match="cannot stand there"):
         plant_file(start={"theta2_deg": 80.0})
     text = re.sub("start .*", "start 1.4 1.0", plant_file())
-    with pytest.raises(WrongUseError, match="no rest where it shall start"):
+    with pytest.raises(ls.errors.WrongUseError, match="no rest where it shall start"):
         start(Emulator(text))
 
 
@@ -102,7 +104,7 @@ def test_a_folder_that_cannot_be_written_is_an_error_in_words(tmp_path, monkeypa
     needs_a_compiler()
     (tmp_path / "loopshape").write_text("a file in the way")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    with pytest.raises(WrongUseError, match="set XDG_CACHE_HOME"):
+    with pytest.raises(ls.errors.WrongUseError, match="set XDG_CACHE_HOME"):
         program()
 
 
@@ -178,7 +180,7 @@ def test_a_bad_line_loses_nothing(arm, arm_experiment):
 @pytest.mark.parametrize("how", ["die_after", "mute_after"])
 def test_a_target_that_dies_or_falls_silent_is_an_error_in_words(arm_experiment, how):
     e = excited(arm_experiment, 3000)
-    with emulator(**{how: 500}) as port, pytest.raises(RigError, match=r"lost|does not answer|answers"):
+    with emulator(**{how: 500}) as port, pytest.raises(ls.errors.RigError, match=r"lost|does not answer|answers"):
         record(port, [e], watchdog_ms=1000)
 
 
@@ -255,7 +257,7 @@ def test_the_command_prints_the_port_and_runs_until_it_is_told_to_end(how, ignor
             assert process.wait(10) == 0
         finally:
             process.kill()
-    with pytest.raises(RigError, match="no target answers there"):
+    with pytest.raises(ls.errors.RigError, match="no target answers there"):
         open_link(port, 0)
 
 
@@ -267,7 +269,7 @@ def test_the_command_refuses_what_is_no_change():
     app = typer.Typer()
     app.command()(command)
     answer = CliRunner().invoke(app, ["--change", "payload_kg"])
-    assert isinstance(answer.exception, LoopshapeError)
+    assert isinstance(answer.exception, ls.LoopshapeError)
     assert "a parameter and its value" in str(answer.exception)
 
 

@@ -3,10 +3,9 @@
 import json
 
 import pytest
-from typer.testing import CliRunner
+from commands import invoked
 
-from loopshape.cli.main import app
-from loopshape.io.run.run_folder import read_run
+import loopshape as ls
 
 STUDY = """
 format = "loopshape-study/1"
@@ -29,9 +28,9 @@ duration_s = 0.5
 def test_it_is_recorded_and_said(tmp_path, signals):
     (tmp_path / "study.toml").write_text(STUDY + signals + "\n")
     words = ["measure", str(tmp_path / "study.toml"), "--out", str(tmp_path / "run")]
-    result = CliRunner().invoke(app, words)
+    result = invoked(words)
     assert result.exit_code == 0, result.output
     assert "no recording excites a loop" in result.stdout
-    assert len(read_run(tmp_path / "run").recordings) == 1
-    again = CliRunner().invoke(app, [*words, "--json"])
+    assert len(ls.read(tmp_path / "run").recordings) == 1
+    again = invoked([*words, "--json"])
     assert json.loads(again.stdout) == {"run": str(tmp_path / "run"), "ended_early": []}

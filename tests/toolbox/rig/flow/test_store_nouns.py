@@ -7,22 +7,36 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from bench_nouns import (
+    BandNoise,
+    Block,
+    Estimate,
+    Free,
+    Line,
+    Multisine,
+    Prbs,
+    Profile,
+    Staircase,
+    Sweep,
+    TransferFunction,
+)
+from conversions import rad
+from run_files import (
+    read_fits,
+    read_frfs,
+    read_json,
+    read_toml,
+    write_controllers,
+    write_fits,
+    write_frfs,
+    write_json,
+    write_toml,
+)
 
+import loopshape as ls
 from loopshape import __version__
-from loopshape.core.units import rad
-from loopshape.data.control.block import Free
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Margins
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import Estimate, Fit, TransferFunction
-from loopshape.data.result.verdict import Line, Verdict
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
-from loopshape.io.files import read_json, read_toml, write_json, write_toml
-from loopshape.io.write.controllers import read_controllers, write_controllers
-from loopshape.io.write.fits import read_fits, write_fits
-from loopshape.io.write.frfs import frf_csv, read_frfs, write_frfs
+from loopshape.io.write.frfs import frf_csv
 from loopshape.io.write.junit import write_junit
-from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.rig.files.study import read_study
 
 
@@ -40,10 +54,10 @@ def assert_same(one, other):
 
 
 def test_controllers(tmp_path):
-    one = Controller("theta2", (Block("gain", {"gain": -0.1}), Block("low_pass_1", {"f_hz": 1 / 3})), 1000.0)
-    two = Controller("p_ab", (Block("pi", {"f_hz": 0.2}),), 1000.0)
+    one = ls.Controller("theta2", (Block("gain", {"gain": -0.1}), Block("low_pass_1", {"f_hz": 1 / 3})), 1000.0)
+    two = ls.Controller("p_ab", (Block("pi", {"f_hz": 0.2}),), 1000.0)
     write_controllers(tmp_path / "c.toml", (one, two), {"tuned on": "r01", "margins": {"theta2": 6.0}})
-    back = read_controllers(tmp_path / "c.toml")
+    back = ls.read_controllers(tmp_path / "c.toml")
     for mine, theirs in zip((one, two), back, strict=True):
         assert_same(mine, theirs)
     assert read_toml(tmp_path / "c.toml")["notes"] == {
@@ -69,7 +83,7 @@ structure = [
 name = "p_ab"
 gain_margin_db = 6.0
 """)
-    first, second = read_requirements(tmp_path / "q.toml")
+    first, second = ls.read_requirements(tmp_path / "q.toml")
     assert (first.loop, first.phase_margin_deg, first.band_hz) == ("theta2", 45, (0.5, 30.0))
     assert first.structure[0].parameters["gain"] == Free(1.0, 100.0, 10.0)
     assert first.structure[1].tie == {"f2_hz": "f1_hz"}
@@ -80,7 +94,7 @@ def frf(recording="r01", loop="theta2", ny=1, nu=1, nf=5):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((nf, ny * nu, ny * nu))
     response = rng.standard_normal((nf, ny, nu)) + 1j * rng.standard_normal((nf, ny, nu))
-    return FRF(
+    return ls.FRF(
         np.arange(1.0, nf + 1.0),
         response,
         (root @ root.transpose(0, 2, 1)).astype(complex),
@@ -124,7 +138,7 @@ def test_a_frf_as_a_table(tmp_path):
 
 def test_fits(tmp_path):
     model = TransferFunction(np.array([1.0 / 3.0]), np.array([1.0, 2.0, 0.0]), 0.003)
-    made = Fit(
+    made = ls.Fit(
         "third_order",
         model,
         (Estimate("gain", 0.1, "rad/V", 0.01), Estimate("f_hz", 6.0, "Hz", float("inf"))),
@@ -149,7 +163,7 @@ def test_fits(tmp_path):
 
 
 def margins(stable):
-    return Margins(*[1.0] * 10, (1.0,), (), {}, stable, "one encirclement < & \x07")
+    return ls.Margins(*[1.0] * 10, (1.0,), (), {}, stable, "one encirclement < & \x07")
 
 
 def test_junit(tmp_path):
@@ -157,7 +171,7 @@ def test_junit(tmp_path):
         Line("phase_margin_deg", "deg", 45.0, 50.0, 5.0, "passed", "r01", 3.0),
         Line("sensitivity_peak_db", "dB", 6.0, 8.4, -2.4, "failed", "r02", None),
     )
-    made = Verdict("theta2", lines, {"r01": margins("stable"), "r02": margins("undecided")}, ("be careful",))
+    made = ls.Verdict("theta2", lines, {"r01": margins("stable"), "r02": margins("undecided")}, ("be careful",))
     write_junit(tmp_path / "j.xml", (made, replace(made, loop="p_ab")))
     root = ET.parse(tmp_path / "j.xml").getroot()
     suite = root[0]

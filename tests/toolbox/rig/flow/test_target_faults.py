@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
 from python_target_line import Faults, Pty, Running
+from run_files import finished, verify
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.io.run.run_folder import finished
-from loopshape.io.run.verify import verify
+import loopshape as ls
 from loopshape.toolbox.rig.target import session, taking
 
 pytestmark = pytest.mark.timeout(60)  # a hang is a failure
@@ -51,7 +50,7 @@ def tried(study, run, running):
     """The sentence that measuring ended in, or None."""
     try:
         assert measured(study, run, running.port) == []
-    except LoopshapeError as error:
+    except ls.LoopshapeError as error:
         said = str(error)
     else:
         return None

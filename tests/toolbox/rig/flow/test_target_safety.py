@@ -10,25 +10,20 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
+from bench_nouns import Block
+from commands import invoked
 from python_target import ALIVE, ARM, ARMED, BEGIN, BY_WATCHDOG, FAULT, GO, IDLE, RUNNING, SETPOINT, VENT
 from python_target_line import Running
-from typer.testing import CliRunner
+from run_files import finished, read_journal, write_verdicts
 from verdict_cases import checked, line, margins
 
 import loopshape as ls
-from loopshape.cli.main import app
-from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.interrupts import interrupts
-from loopshape.data.control.controller import Block, Controller
-from loopshape.io.run.journal import read_journal
-from loopshape.io.run.run_folder import finished, read_run
-from loopshape.io.write.verdicts import write_verdicts
 from loopshape.toolbox.rig.files import measuring
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.settings import spoken
 from loopshape.toolbox.rig.target.blocks import Block as Computed
 from loopshape.toolbox.rig.target.blocks import own_radius
-from loopshape.toolbox.rig.verbs.machine import measure
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),
@@ -54,8 +49,8 @@ def told(running):
 
 def command(*words):
     """Exit code, standard output, and what was said on standard error, as the shell sees them."""
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    if isinstance(result.exception, LoopshapeError):
+    result = invoked(words)
+    if isinstance(result.exception, ls.LoopshapeError):
         return 2, result.stdout, str(result.exception)
     assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
     return result.exit_code, result.stdout, result.stderr
@@ -162,7 +157,7 @@ def test_a_real_machine_stops_there_and_waits_for_a_person(tmp_path, on_limit):
         assert f"the machine {way}, and 1 of 3 recordings were not made" in error
         assert "received after; look at the machine and clear the fault (loopshape stop tcp://" in error
         assert finished(run) == {"small", "large"}
-        assert "limit of angle1_rad at tick" in read_run(run).recording("large").info.ended_early
+        assert "limit of angle1_rad at tick" in ls.read(run).recording("large").info.ended_early
         assert (running.target.state, running.target.held) == (FAULT, False)  # nothing is held without a host
         assert (VENT in told(running)) == (on_limit == "hold")
         code, _, error = command(*words)
@@ -171,7 +166,9 @@ def test_a_real_machine_stops_there_and_waits_for_a_person(tmp_path, on_limit):
         assert command("stop", running.port, "--clear")[0] == 0
         assert (running.target.state, running.target.held) == (IDLE, False)
         running.target.machine.place([0.3])  # vented it may have come back within the limits
-        with pytest.raises(RigError, match=r"refuses ARM; received out of range: angle1_rad is 0\.\d+, outside"):
+        with pytest.raises(
+            ls.errors.RigError, match=r"refuses ARM; received out of range: angle1_rad is 0\.\d+, outside"
+        ):
             measured(study, run, running.port)
         running.target.machine.place([0.0])  # by hand
         code, _, error = command(*words)
@@ -200,7 +197,8 @@ def test_a_limit_on_the_way_to_a_recording_is_said(tmp_path):
     with (
         Running(real) as running,
         pytest.raises(
-            RigError, match=r"way to 'one'; received fault, rate limit of angle1_rad at tick \d+ .* beyond 1\.146 deg/s"
+            ls.errors.RigError,
+            match=r"way to 'one'; received fault, rate limit of angle1_rad at tick \d+ .* beyond 1\.146 deg/s",
         ),
     ):
         measured(write_study(tmp_path, text), tmp_path / "run", running.port)
@@ -210,7 +208,7 @@ def test_a_limit_on_the_way_to_a_recording_is_said(tmp_path):
 def test_an_operating_point_beyond_the_limits_is_refused_before_anything_moves(tmp_path):
     text = study_text(target=REAL, angle="low_rad = -0.05, high_rad = 0.05")
     sentence = "the setpoint of axis1 in 'one' lies outside its limits; received 5.73 deg, limits -2.865 to 2.865 deg"
-    with Running(real) as running, pytest.raises(WrongUseError, match=sentence):
+    with Running(real) as running, pytest.raises(ls.errors.WrongUseError, match=sentence):
         measured(write_study(tmp_path, text), tmp_path / "run", running.port)
     assert not {ARM, SETPOINT, BEGIN, GO} & set(told(running))
 
@@ -262,11 +260,13 @@ def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
             assert "Traceback" not in error
             assert not (run / measuring.MARK).exists()
         assert finished(run) == {"short"}
-        assert read_run(run).recording("short").info.ended_early is None
+        assert ls.read(run).recording("short").info.ended_early is None
         if how == "SIGKILL":
             assert command("stop", running.port, "--clear")[0] == 0
             text = LONG.replace("periods = 120", "periods = 2")
-            with pytest.raises(WrongUseError, match="already holds another run"):  # another study is another run
+            with pytest.raises(
+                ls.errors.WrongUseError, match="already holds another run"
+            ):  # another study is another run
                 measured(write_study(tmp_path, text), run, running.port)
     assert command("verify", run)[0] == 0
 
@@ -322,7 +322,9 @@ def test_a_target_that_understood_something_else_is_not_armed(tmp_path):
         return one
 
     with Running(another) as running:
-        with pytest.raises(RigError, match=r"understood another configuration; received digest .*; do not arm it"):
+        with pytest.raises(
+            ls.errors.RigError, match=r"understood another configuration; received digest .*; do not arm it"
+        ):
             measured(write_study(tmp_path, study_text(target=REAL)), tmp_path / "run", running.port)
         assert ARM not in told(running)
 
@@ -338,7 +340,7 @@ def test_a_real_target_that_is_not_idle_is_left_alone(tmp_path, state):
         return one
 
     with Running(busy) as running:
-        with pytest.raises(RigError, match="the target is not idle"):
+        with pytest.raises(ls.errors.RigError, match="the target is not idle"):
             measured(write_study(tmp_path, study_text(target=REAL)), tmp_path / "run", running.port)
         assert set(told(running)) == {1, ALIVE}
         assert running.target.state == state
@@ -370,7 +372,7 @@ def test_while_one_measures_another_is_refused_and_disturbs_nothing(tmp_path):
     study, run = write_study(tmp_path, LONG), tmp_path / "run"
     with Running(real) as running, started(study, run, running.port) as process:
         until(lambda: finished(run) == {"short"}, process=process)
-        with pytest.raises(WrongUseError, match="another process is writing this run"):
+        with pytest.raises(ls.errors.WrongUseError, match="another process is writing this run"):
             measured(study, run, running.port)
         assert (run / measuring.MARK).exists()
         assert command("stop", run)[0] == 0
@@ -386,7 +388,7 @@ def test_sentences_come_in_three_breaths(tmp_path):
         (lambda: real(most_loops=0), study_text(target=REAL)),
         (lambda: real(number_bytes=3), study_text(target=REAL)),
     ):
-        with Running(make) as running, pytest.raises(LoopshapeError) as caught:
+        with Running(make) as running, pytest.raises(ls.LoopshapeError) as caught:
             measured(write_study(tmp_path, text), tmp_path / "run", running.port)
         said.append(caught.value)
     for one in said:
@@ -424,7 +426,7 @@ def test_an_excitation_beyond_the_limits_is_refused_before_anything_moves(
             code, _, why = shown(study, folder / "run", running)
             assert (code, words in why) == ((2, True) if refused else (0, False)), why
             if refused:
-                with pytest.raises(WrongUseError, match=words):
+                with pytest.raises(ls.errors.WrongUseError, match=words):
                     measured(study, folder / "run", running.port)
                 assert ARM not in told(running)
 
@@ -433,7 +435,7 @@ def verdict_on(folder, study, outcome="passed", gain=1.0, loop="axis1"):
     """A kept verdict on the study's controller, its gain multiplied by a factor."""
     gains, *rest = read_study(study).loops[0].controller.blocks
     blocks = (Block("gain", {"gain": gain * gains.parameters["gain"]}), *rest)
-    one = checked({"one": margins()}, [line(outcome=outcome)], loop, Controller("axis1", blocks, 1000.0))
+    one = checked({"one": margins()}, [line(outcome=outcome)], loop, ls.Controller("axis1", blocks, 1000.0))
     write_verdicts(folder / "verdict.json", [one])
     return folder / "verdict.json"
 
@@ -445,7 +447,7 @@ def test_without_a_verdict_measuring_says_so(tmp_path):
         assert (code, "loop axis1: no verdict is given on its controller" in warned) == (0, True)
         code, _, warned = shown(study, tmp_path / "run", running, "--verdict", verdict_on(tmp_path, study))
         assert (code, "verdict" in warned) == (0, False)
-        measure(study, tmp_path / "run", port=running.port, arm=True)
+        ls.rig.measure(study, tmp_path / "run", port=running.port, arm=True)
     (armed,) = [entry for entry in read_journal(tmp_path / "run")[0] if entry["event"] == "armed"]
     assert ["no verdict is given" in note for note in armed["notes"]] == [True]
     assert armed["allow_unverified"] is False
@@ -480,10 +482,10 @@ def test_a_verdict_that_does_not_pass_these_controllers_is_refused_or_allowed_by
 
 def circle(gain):
     """A controller that reads what it gave five samples ago: z^5 = -gain."""
-    late = Controller("axis1", (Block("gain", {"gain": gain}),), 1000.0, computation_delay_s=5e-3)
+    late = ls.Controller("axis1", (Block("gain", {"gain": gain}),), 1000.0, computation_delay_s=5e-3)
     plant = ls.FRF.from_arrays([1.0, 2.0], [1.0, 0.5j], relative_std=0.01)
     parts = (
-        ls.diagrams.Part("C", "e", "u", Controller("axis1", (Block("gain", {"gain": 1.0}),), 1000.0)),
+        ls.diagrams.Part("C", "e", "u", ls.Controller("axis1", (Block("gain", {"gain": 1.0}),), 1000.0)),
         ls.diagrams.Part("L", "u", "w", late), ls.diagrams.Part("P", "u", "y", plant),
     )  # fmt: skip
     wires = {"r": "r_axis1_rad", "y": "angle1_rad", "u": "z1_v"}
@@ -512,7 +514,7 @@ def test_a_diagram_that_is_unstable_by_itself_is_refused(tmp_path, gain, stable)
         if stable:
             machine.show(study, diagram=wired)
             return
-        with pytest.raises(WrongUseError, match=r"alone are unstable, \|z\| = 1\.0371"):  # 1.2 ** 0.2
+        with pytest.raises(ls.errors.WrongUseError, match=r"alone are unstable, \|z\| = 1\.0371"):  # 1.2 ** 0.2
             machine.show(study, diagram=wired)
         notes = machine.show(study, diagram=wired, allow_unverified=True).notes
         assert any("alone are unstable" in note for note in notes)

@@ -5,16 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from run_files import write_frfs
 
+import loopshape as ls
 from loopshape.cli.estimate.figures import figures
 from loopshape.cli.output import Output
 from loopshape.cli.verify.check import check_run
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
 from loopshape.io import words
 from loopshape.io.run import tables
-from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.frfs import write_frfs
 from loopshape.loop import verdict
 from loopshape.toolbox.rig.commands.measure import measure
 
@@ -55,9 +54,9 @@ def axis(tmp_path):
     f = np.geomspace(0.5, 200.0, 60)
     P = (20.0 / (2j * np.pi * f))[:, None, None]
     for name in ("one", "two"):
-        frf = FRF.from_arrays(f, P, relative_std=0.01, recording=name, loop="x", rate_hz=1000.0)
+        frf = ls.FRF.from_arrays(f, P, relative_std=0.01, recording=name, loop="x", rate_hz=1000.0)
         write_frfs(tmp_path, [frf])
-    write_controllers(tmp_path / "c.toml", [Controller("x", (Block("gain", {"gain": 1.0}),), 1000.0)])
+    ls.write(ls.Controller("x", (Block("gain", {"gain": 1.0}),), 1000.0), tmp_path / "c.toml")
     (tmp_path / "r.toml").write_text(REQUIREMENTS)
     return tmp_path
 

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.toolbox.rig.target.frames import LONGEST_ENCODED, Frame, Receiver, opened, stuffed, unstuffed
 
 frames = st.builds(Frame, st.integers(0, 255), st.integers(0, 65535), st.binary(max_size=1000))
@@ -73,7 +73,7 @@ def test_what_is_too_long_is_dropped_and_does_not_grow():
 
 def test_the_longest_payload_fits_and_one_byte_more_is_refused():
     assert opened(Frame(1, 2, b"\1" * 1000).encoded[:-1]) == Frame(1, 2, b"\1" * 1000)
-    with pytest.raises(WrongUseError, match="at most 1000 bytes; received 1001"):
+    with pytest.raises(ls.errors.WrongUseError, match="at most 1000 bytes; received 1001"):
         _ = Frame(1, 2, b"\1" * 1001).encoded
 
 

@@ -5,45 +5,39 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import INDICATORS, Block, Indicators, LoopSetup, RecordingInfo, Step
 from plant_behind import plant_behind
+from run_files import read_predictions, write_predictions
 
-from loopshape.core.errors import BadSignalError, UnreadableInputError, WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import INDICATORS, Indicators, Prediction, Step
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_sensitivity
-from loopshape.io.write.controllers import read_controllers
-from loopshape.io.write.predictions import read_predictions, write_predictions
 from loopshape.loop.predict.prediction import compare, predict, sensitivity_of
 from loopshape.loop.predict.remeasured import remeasure
 from loopshape.toolbox.rig.verbs.machine import blocks_of
 
-GAIN = Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
+GAIN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 
 
-def plant(loop: str = "a", rate_hz: float = 1000.0, trusted: bool = True, held: Controller | None = GAIN) -> FRF:
+def plant(loop: str = "a", rate_hz: float = 1000.0, trusted: bool = True, held: ls.Controller | None = GAIN) -> ls.FRF:
     f = np.arange(1.0, 11.0)
     P = 1.0 / (2j * np.pi * f)
-    return FRF(
+    return ls.FRF(
         f, P[:, None, None], (1e-4 * np.abs(P) ** 2)[:, None, None].astype(complex), np.full(10, trusted), ("z_v",),
         ("a_rad",), "made", recording="r", loop=loop, rate_hz=rate_hz, held_by=held,
     )  # fmt: skip
 
 
-def prediction() -> Prediction:
-    return Prediction(sensitivity_of(plant()), "stable")
+def prediction() -> ls.Prediction:
+    return ls.Prediction(sensitivity_of(plant()), "stable")
 
 
 def test_another_controller_another_loop_and_another_rate_are_refused() -> None:
-    other = Controller("a", (Block("gain", {"gain": 1.01}),), 1000.0)
-    with pytest.raises(WrongUseError, match="closed by another controller"):
+    other = ls.Controller("a", (Block("gain", {"gain": 1.01}),), 1000.0)
+    with pytest.raises(ls.errors.WrongUseError, match="closed by another controller"):
         compare(prediction(), sensitivity_of(plant(held=other)))
-    with pytest.raises(WrongUseError, match="not of the loop"):
+    with pytest.raises(ls.errors.WrongUseError, match="not of the loop"):
         compare(prediction(), replace(sensitivity_of(plant()), loop="b"))
-    with pytest.raises(WrongUseError, match="not of the loop"):
+    with pytest.raises(ls.errors.WrongUseError, match="not of the loop"):
         compare(prediction(), replace(sensitivity_of(plant()), rate_hz=500.0))
 
 
@@ -55,37 +49,37 @@ def test_a_controller_that_is_not_known_is_noted_and_lines_that_nobody_trusts_te
 
 
 def test_a_sensitivity_needs_its_controller_and_a_closed_loop() -> None:
-    with pytest.raises(WrongUseError, match="does not follow"):
+    with pytest.raises(ls.errors.WrongUseError, match="does not follow"):
         sensitivity_of(plant(held=None))
-    with pytest.raises(WrongUseError, match="its controller"):
+    with pytest.raises(ls.errors.WrongUseError, match="its controller"):
         plant_behind(plant(held=None), "z_v")
     info = RecordingInfo("r.parquet", "multisine", "control", excites="a", closed_loop=False)
     loop = LoopSetup("a", None, None, "z_v", "a_rad", None)
-    with pytest.raises(BadSignalError, match="loop was open"):
-        estimate_sensitivity(Recording(info, 1000.0, {"z_v": np.ones(10), "a_rad": np.ones(10)}), loop)
+    with pytest.raises(ls.errors.BadSignalError, match="loop was open"):
+        estimate_sensitivity(ls.Recording(info, 1000.0, {"z_v": np.ones(10), "a_rad": np.ones(10)}), loop)
 
 
 def test_nothing_to_predict_from_and_nothing_that_belongs_are_refused() -> None:
-    with pytest.raises(WrongUseError, match="no FRF of loop 'a'"):
+    with pytest.raises(ls.errors.WrongUseError, match="no FRF of loop 'a'"):
         predict([], GAIN)
-    run = Run(1000.0, (LoopSetup("a", None, None, "z_v", "a_rad", GAIN),), ())
-    with pytest.raises(WrongUseError, match="no recording of the run belongs"):
+    run = ls.Run(1000.0, (LoopSetup("a", None, None, "z_v", "a_rad", GAIN),), ())
+    with pytest.raises(ls.errors.WrongUseError, match="no recording of the run belongs"):
         remeasure(run, [prediction()])
 
 
 def test_damaged_and_foreign_prediction_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "p.npz"
-    with pytest.raises(UnreadableInputError, match="does not exist"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="does not exist"):
         read_predictions(path)
     path.write_bytes(b"half a file")
-    with pytest.raises(UnreadableInputError, match="cannot be read as predictions"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="cannot be read as predictions"):
         read_predictions(path)
     np.savez(path, header=np.array('{"format": "other/1", "predictions": []}'))
-    with pytest.raises(UnreadableInputError, match="not of the format"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="not of the format"):
         read_predictions(path)
-    with pytest.raises(WrongUseError, match="no prediction to write"):
+    with pytest.raises(ls.errors.WrongUseError, match="no prediction to write"):
         write_predictions(path, [])
-    with pytest.raises(WrongUseError, match="two predictions"):
+    with pytest.raises(ls.errors.WrongUseError, match="two predictions"):
         write_predictions(path, [prediction(), prediction()])
 
 
@@ -95,7 +89,7 @@ def test_a_prediction_file_with_sensitivities_that_no_loop_has_is_refused(tmp_pa
     response = own.sensitivity.response.copy()
     response[3] = value
     write_predictions(path, [replace(own, sensitivity=replace(own.sensitivity, response=response))])
-    with pytest.raises(UnreadableInputError, match=r"predicted \|S\| lies in"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"predicted \|S\| lies in"):
         read_predictions(path)
 
 
@@ -106,13 +100,13 @@ def test_a_prediction_file_with_a_step_that_is_not_of_numbers_is_refused(tmp_pat
     assert read_predictions(path)[0].step is not None
     for name in ("time_s", "response", "low", "high"):
         write_predictions(path, [replace(prediction(), step=replace(step, **{name: rise * np.nan}))])
-        with pytest.raises(UnreadableInputError, match="step is of finite numbers"):
+        with pytest.raises(ls.errors.UnreadableInputError, match="step is of finite numbers"):
             read_predictions(path)
 
 
 @pytest.mark.parametrize("tolerance_db", [np.inf, np.nan, -1.0, 1e5])
 def test_a_tolerance_that_lets_everything_pass_is_refused(tolerance_db: float) -> None:
-    with pytest.raises(WrongUseError, match=r"tolerance of \|S\|"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"tolerance of \|S\|"):
         compare(prediction(), sensitivity_of(plant()), tolerance_db=tolerance_db)
 
 
@@ -127,5 +121,5 @@ def test_controllers_that_the_simulated_rig_does_not_run_are_refused(tmp_path: P
         f'format = "loopshape-controllers/1"\n{rate}\n[[loop]]\nname = "a"\n{prewarp}'
         'controller = [{ kind = "gain", gain = 1.0 }]\n'
     )
-    with pytest.raises(WrongUseError, match=word):
-        blocks_of(read_controllers(path), 1000.0)
+    with pytest.raises(ls.errors.WrongUseError, match=word):
+        blocks_of(ls.read_controllers(path), 1000.0)

@@ -5,27 +5,26 @@ import os
 
 import numpy as np
 import pytest
-
-from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.frf import FRF
-from loopshape.io.files import (
-    plain_name,
+from bench_nouns import Block
+from run_files import (
+    read_fits,
+    read_frfs,
     read_json,
     read_toml,
+    write_controllers,
+    write_fits,
+    write_frfs,
     write_json,
     write_text_whole,
     write_toml,
-    write_whole,
 )
-from loopshape.io.write.controllers import read_controllers, write_controllers
-from loopshape.io.write.fits import read_fits, write_fits
-from loopshape.io.write.frfs import read_frfs, write_frfs
-from loopshape.io.write.requirements import read_requirements
+
+import loopshape as ls
+from loopshape.io.files import plain_name, write_whole
 from loopshape.toolbox.rig.files.study import read_study
 
 
-def refused(read, path, text, *words, error=WrongUseError):
+def refused(read, path, text, *words, error=ls.errors.WrongUseError):
     path.write_text(text)
     with pytest.raises(error) as caught:
         read(path)
@@ -37,7 +36,7 @@ def refused(read, path, text, *words, error=WrongUseError):
     "name", ["", ".", "..", "../a", "/a", "a/b", "a\\b", "C:a", ".hidden", " a", "a\0b", "a\nb", "a" * 300, 3, None]
 )
 def test_a_plain_name(name):
-    with pytest.raises(UnreadableInputError, match="the table must be a plain name inside its folder"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="the table must be a plain name inside its folder"):
         plain_name(name, "the table")
     assert plain_name("O-ring 257_7bar+x.csv", "the table") == "O-ring 257_7bar+x.csv"
 
@@ -56,10 +55,10 @@ def test_a_failed_write_keeps_the_old_file(tmp_path):
 
 
 def test_a_place_that_cannot_be_written(tmp_path):
-    with pytest.raises(UnreadableInputError, match=r"none/a\.txt cannot be written; received No such file"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"none/a\.txt cannot be written; received No such file"):
         write_text_whole(tmp_path / "none" / "a.txt", "x")
     (tmp_path / "folder").mkdir()
-    with pytest.raises(UnreadableInputError, match="folder cannot be written"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="folder cannot be written"):
         write_text_whole(tmp_path / "folder", "x")
     assert os.listdir(tmp_path) == ["folder"]
 
@@ -67,18 +66,18 @@ def test_a_place_that_cannot_be_written(tmp_path):
 def test_toml_and_json_that_cannot_be_read(tmp_path):
     path = tmp_path / "x"
     for read, kind in ((read_toml, "TOML"), (read_json, "JSON")):
-        refused(read, path, "{ a = ", "x cannot be read as", kind, error=UnreadableInputError)
-        refused(read, path, "[" * 100_000, kind, error=UnreadableInputError)
-        with pytest.raises(UnreadableInputError, match="does not exist"):
+        refused(read, path, "{ a = ", "x cannot be read as", kind, error=ls.errors.UnreadableInputError)
+        refused(read, path, "[" * 100_000, kind, error=ls.errors.UnreadableInputError)
+        with pytest.raises(ls.errors.UnreadableInputError, match="does not exist"):
             read(tmp_path / "none")
-        with pytest.raises(UnreadableInputError, match="a folder stands in the place of"):
+        with pytest.raises(ls.errors.UnreadableInputError, match="a folder stands in the place of"):
             read(tmp_path)
 
 
 def test_values_without_a_form():
-    with pytest.raises(WrongUseError, match="no form in JSON; received 1j"):
+    with pytest.raises(ls.errors.WrongUseError, match="no form in JSON; received 1j"):
         write_json("unused", {"a": 1j})
-    with pytest.raises(WrongUseError, match="no form in TOML; received 1j"):
+    with pytest.raises(ls.errors.WrongUseError, match="no form in TOML; received 1j"):
         write_toml("unused", {"a": 1j})
 
 
@@ -92,22 +91,22 @@ controller = [{ kind = "gain", gain = 1.0 }]
 
 
 def test_controllers(tmp_path):
-    def no(text, *words, error=WrongUseError):
-        refused(read_controllers, tmp_path / "c.toml", text, *words, error=error)
+    def no(text, *words, error=ls.errors.WrongUseError):
+        refused(ls.read_controllers, tmp_path / "c.toml", text, *words, error=error)
 
-    no(CONTROLLERS.replace("controllers/1", "run/1"), "loopshape-controllers/1", error=UnreadableInputError)
+    no(CONTROLLERS.replace("controllers/1", "run/1"), "loopshape-controllers/1", error=ls.errors.UnreadableInputError)
     no(CONTROLLERS.replace("rate_hz", "rate"), "unknown key", "'rate'")
     no(CONTROLLERS.split("[[loop]]", maxsplit=1)[0], "no loop")
     no(CONTROLLERS + 'output = "x_m"\n', "c.toml, loop 'x'", "unknown key", "'output'")
     no(CONTROLLERS + CONTROLLERS.split("100.0\n")[1], "two controllers have one name", "'x'")
     no(CONTROLLERS.replace("gain = 1.0", "gian = 1.0"), "parameters gain", "gian")
-    one = Controller("x", (Block("gain", {"gain": 1.0}),), 100.0)
-    two = Controller("y", (Block("gain", {"gain": 1.0}),), 200.0)
-    with pytest.raises(WrongUseError, match="one rate; received 100 Hz, 200 Hz"):
+    one = ls.Controller("x", (Block("gain", {"gain": 1.0}),), 100.0)
+    two = ls.Controller("y", (Block("gain", {"gain": 1.0}),), 200.0)
+    with pytest.raises(ls.errors.WrongUseError, match="one rate; received 100 Hz, 200 Hz"):
         write_controllers(tmp_path / "c.toml", (one, two))
-    with pytest.raises(WrongUseError, match="no controller"):
+    with pytest.raises(ls.errors.WrongUseError, match="no controller"):
         write_controllers(tmp_path / "c.toml", ())
-    with pytest.raises(WrongUseError, match="one name"):
+    with pytest.raises(ls.errors.WrongUseError, match="one name"):
         write_controllers(tmp_path / "c.toml", (one, one))
 
 
@@ -115,10 +114,10 @@ REQUIREMENTS = 'format = "loopshape-requirements/1"\n[[loop]]\nname = "x"\n'
 
 
 def test_requirements(tmp_path):
-    def no(text, *words, error=WrongUseError):
-        refused(read_requirements, tmp_path / "q.toml", text, *words, error=error)
+    def no(text, *words, error=ls.errors.WrongUseError):
+        refused(ls.read_requirements, tmp_path / "q.toml", text, *words, error=error)
 
-    no(REQUIREMENTS.replace("/1", "/2"), "loopshape-requirements/1", error=UnreadableInputError)
+    no(REQUIREMENTS.replace("/1", "/2"), "loopshape-requirements/1", error=ls.errors.UnreadableInputError)
     no(REQUIREMENTS + "phase_margin = 45\n", "q.toml, loop 'x'", "unknown key", "phase_margin_deg")
     no(REQUIREMENTS + 'phase_margin_deg = "45"\n', "must be a number", "'45'")
     no(REQUIREMENTS + "phase_margin_deg = inf\n", "finite number")
@@ -136,46 +135,46 @@ def test_requirements(tmp_path):
 
 def frf(recording="r01", loop="x"):
     ones = np.ones((3, 1, 1), dtype=complex)
-    return FRF(np.arange(1.0, 4.0), ones, ones, np.ones(3, dtype=bool), ("u",), ("y",), "test", recording, loop)
+    return ls.FRF(np.arange(1.0, 4.0), ones, ones, np.ones(3, dtype=bool), ("u",), ("y",), "test", recording, loop)
 
 
 def test_frfs(tmp_path):
-    with pytest.raises(UnreadableInputError, match=r"no FRF yet.*loopshape frf"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"no FRF yet.*loopshape frf"):
         read_frfs(tmp_path)
-    with pytest.raises(UnreadableInputError, match="plain name"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="plain name"):
         write_frfs(tmp_path, (frf("../r01"),))
-    with pytest.raises(WrongUseError, match=r"two FRFs have one name; received 'r01\.x\.npz'"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"two FRFs have one name; received 'r01\.x\.npz'"):
         write_frfs(tmp_path, (frf(), frf()))
     (path,) = write_frfs(tmp_path, (frf(),))
     whole = path.read_bytes()
     for damaged in (b"", whole[:100], whole[:-40], b"PK" + b"x" * 50):
         path.write_bytes(damaged)
-        with pytest.raises(UnreadableInputError, match=r"r01\.x\.npz cannot be read as FRF"):
+        with pytest.raises(ls.errors.UnreadableInputError, match=r"r01\.x\.npz cannot be read as FRF"):
             read_frfs(tmp_path)
     with np.load(write_frfs(tmp_path, (frf(),))[0]) as file:
         arrays = dict(file)
     np.savez(path, **(arrays | {"header": np.array(json.dumps({"format": "other/1"}))}))
-    with pytest.raises(UnreadableInputError, match="not of the format loopshape-frf/1; received 'other/1'"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="not of the format loopshape-frf/1; received 'other/1'"):
         read_frfs(tmp_path)
     np.savez(path, **(arrays | {"response": np.ones((2, 1, 1), dtype=complex)}))
-    with pytest.raises(UnreadableInputError, match="a response is"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="a response is"):
         read_frfs(tmp_path)
     np.savez(path, **(arrays | {"header": np.array([{"a": 1}], dtype=object)}))
-    with pytest.raises(UnreadableInputError, match="allow_pickle"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="allow_pickle"):
         read_frfs(tmp_path)
 
 
 @pytest.mark.parametrize("text", ['{"fits": [', "[]", '{"format": "other/1"}'])
 def test_fits(tmp_path, text):
-    with pytest.raises(UnreadableInputError, match=r"no fits yet.*loopshape fit"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"no fits yet.*loopshape fit"):
         read_fits(tmp_path)
     (tmp_path / "fits.json").write_text(text)
-    with pytest.raises(UnreadableInputError, match=r"fits\.json"):
+    with pytest.raises(ls.errors.UnreadableInputError, match=r"fits\.json"):
         read_fits(tmp_path)
     write_fits(tmp_path, ())
     for fits in ([{}], [3], 3, [{"colour": 1}]):
         (tmp_path / "fits.json").write_text(json.dumps({"format": "loopshape-fits/1", "fits": fits}))
-        with pytest.raises(UnreadableInputError, match="cannot be read as fits"):
+        with pytest.raises(ls.errors.UnreadableInputError, match="cannot be read as fits"):
             read_fits(tmp_path)
 
 
@@ -198,10 +197,10 @@ def changed(old, new, text=STUDY):
 
 
 def test_studies(tmp_path):
-    def no(text, *words, error=WrongUseError):
+    def no(text, *words, error=ls.errors.WrongUseError):
         refused(read_study, tmp_path / "s.toml", text, *words, error=error)
 
-    no(changed("study/1", "study/2"), "loopshape-study/1", error=UnreadableInputError)
+    no(changed("study/1", "study/2"), "loopshape-study/1", error=ls.errors.UnreadableInputError)
     no(changed('rig = "simulated"\nplant = "arm-1dof"', ""), "no rig, plant")
     no(changed('rig = "simulated"', 'rig = "simulated"\nsede = 3'), "unknown key", "'sede'", "seed")
     no(changed('rig = "simulated"', 'rig = "simulated"\nseed = -3'), "seed", "whole number")
@@ -213,7 +212,7 @@ def test_studies(tmp_path):
 
 
 def test_experiments(tmp_path):
-    def no(text, *words, error=WrongUseError):
+    def no(text, *words, error=ls.errors.WrongUseError):
         refused(read_study, tmp_path / "s.toml", text, *words, error=error)
 
     no(STUDY + "lag_s = 1.0\n", "s.toml, experiment 'e1'", "unknown key", "'lag_s'")
@@ -221,7 +220,7 @@ def test_experiments(tmp_path):
     no(STUDY + "duration_s = 10.0\n", "duration_s is for experiments without an excitation", "both")
     no(changed("duration_s = 5.0", "", QUIET), "duration_s", "neither")
     no(changed('excites = "theta2"', ""), "excites and excitation go together")
-    no(changed('"e1"', '"a/b"'), "plain name", error=UnreadableInputError)
+    no(changed('"e1"', '"a/b"'), "plain name", error=ls.errors.UnreadableInputError)
     no(STUDY + 'kind = "wobble"\n', "wobble", "multisine")
     no(STUDY + 'injection = "valve"\n', "valve", "plant_input")
     no(STUDY + 'role = "both"\n', "both", "validation")
@@ -256,7 +255,7 @@ def several(first=SINE, second=SINE, text=""):
 
 
 def test_several_loops_at_once(tmp_path):
-    def no(text, *words, error=WrongUseError):
+    def no(text, *words, error=ls.errors.WrongUseError):
         refused(read_study, tmp_path / "s.toml", text, *words, error=error)
 
     beside = "s.toml, experiment 'e1': excitations already say"
@@ -279,7 +278,7 @@ def test_several_loops_at_once(tmp_path):
 
 
 def test_realisations(tmp_path):
-    def no(text, *words, error=WrongUseError):
+    def no(text, *words, error=ls.errors.WrongUseError):
         refused(read_study, tmp_path / "s.toml", text, *words, error=error)
 
     no(several(text="realisations = 0\n"), "experiment 'e1': realisations of an experiment are 1 to 1000", "received 0")

@@ -5,7 +5,7 @@ from math import inf, radians
 import numpy as np
 import pytest
 
-from loopshape.core.errors import RigError, WrongUseError
+import loopshape as ls
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.target.intake import Intake
@@ -96,7 +96,7 @@ def test_what_is_written_is_read_in_stored_units(study):
     ],
 )
 def test_a_study_that_does_not_fit_is_refused(study, old, new, sentence):
-    with pytest.raises(WrongUseError, match=sentence.replace("(", r"\(")):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence.replace("(", r"\(")):
         study((old, new))
 
 
@@ -118,7 +118,7 @@ def test_a_study_that_does_not_fit_is_refused(study, old, new, sentence):
     ],
 )
 def test_a_target_that_does_not_fit_is_refused(study, changes, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence):
         configured(study(), **changes)
 
 
@@ -132,24 +132,24 @@ def test_a_target_that_does_not_fit_is_refused(study, changes, sentence):
     ],
 )
 def test_an_operating_point_that_does_not_fit_is_refused(study, point, sentence):
-    with pytest.raises(WrongUseError, match=sentence):
+    with pytest.raises(ls.errors.WrongUseError, match=sentence):
         DescribedRig(study().loops).check_operating_point(point)
 
 
 def test_a_rig_without_a_model_is_not_simulated(study):
-    with pytest.raises(WrongUseError, match="cannot be simulated"):
+    with pytest.raises(ls.errors.WrongUseError, match="cannot be simulated"):
         DescribedRig(study().loops).simulate([])
 
 
 @pytest.mark.parametrize("port", ["tcp://10.0.0.1:4000", "tcp://0.0.0.0:4000", "tcp://example.org:4000", "tcp:4000"])
 def test_tcp_beyond_this_machine_is_refused(port):
-    with pytest.raises(WrongUseError, match="a TCP target is on this machine"):
+    with pytest.raises(ls.errors.WrongUseError, match="a TCP target is on this machine"):
         open_link(port, 1)
 
 
 @pytest.mark.parametrize("port", ["/dev/no-such-port", "", "tcp://127.0.0.1:1"])
 def test_a_port_where_nobody_is_is_said(port):
-    with pytest.raises(RigError, match=r"no such port|no target answers there"):
+    with pytest.raises(ls.errors.RigError, match=r"no such port|no target answers there"):
         open_link(port, 1)
 
 

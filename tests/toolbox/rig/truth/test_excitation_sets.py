@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from bench_nouns import BandNoise, Multisine
 
-from loopshape.data.signal.excitation import BandNoise, Multisine
 from loopshape.data.signal.excitation_sets import orthogonal, realised, together, turns
 from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 from loopshape.toolbox.schedules.picture import costs, distinct, ordered, parameter, schedule_page
 from loopshape.toolbox.schedules.schedule import PointCost, Schedule
 from loopshape.view.style import png
@@ -11,7 +12,7 @@ from loopshape.view.style import png
 
 def controller(gain, f_hz):
     notch = {"f1_hz": f_hz, "f2_hz": f_hz, "damping1": 0.1, "damping2": 1.0}
-    return Controller("theta2", (Block("gain", {"gain": gain}), Block("notch", notch)), 1000.0)
+    return ls.Controller("theta2", (Block("gain", {"gain": gain}), Block("notch", notch)), 1000.0)
 
 
 def point(angle, pressure, own_hz, robust_hz, feasible=True):

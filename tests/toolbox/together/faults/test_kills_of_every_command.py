@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pytest
 from bench import command
+from run_files import verify
 from wide_bench import commands, prepare
 
-from loopshape.io.run.run_folder import read_run
-from loopshape.io.run.verify import verify
+import loopshape as ls
 
 #: commands that write
 WRITING = (
@@ -195,7 +195,7 @@ def wait_until(is_so):
 def finished_tables(out):
     """When each table that a run lists was written."""
     runs = [toml.parent for toml in out.rglob("run.toml")]
-    tables = [run / recording.info.file for run in runs for recording in read_run(run).recordings]
+    tables = [run / recording.info.file for run in runs for recording in ls.read(run).recordings]
     return {table: table.stat().st_mtime_ns for table in tables}
 
 

@@ -9,9 +9,9 @@ import sys
 
 import pytest
 from bench import command, commands, prepare
+from run_files import write_json
 
-from loopshape.core.errors import LoopshapeError
-from loopshape.io.files import write_json
+import loopshape as ls
 from loopshape.io.held import alone
 from loopshape.toolbox.rig.files.measuring import MARK, begun, driver, marked
 
@@ -141,5 +141,5 @@ def test_stop_says_of_a_process_that_is_gone_that_it_ended(files, bystander):
 def test_the_process_that_measures_is_found(files):
     with alone(files / "run"), marked(files / "run", "tcp://127.0.0.1:9"):
         assert driver(files / "run") == os.getpid()
-    with pytest.raises(LoopshapeError, match="nothing is measured"):
+    with pytest.raises(ls.LoopshapeError, match="nothing is measured"):
         driver(files / "run")

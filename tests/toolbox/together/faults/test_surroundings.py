@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 import typer
 from bench import command, commands, in_a_child, prepare
+from run_files import read_frfs
 
+import loopshape as ls
 from loopshape.cli import main
 from loopshape.cli.output import safe
-from loopshape.io.run.run_folder import read_run
-from loopshape.io.write.frfs import read_frfs
 
 pytestmark = pytest.mark.long
 
@@ -132,7 +132,7 @@ def test_folders_of_odd_names(whole, tmp_path, name):
 
 def results(folder):
     """Numbers that a chain of commands gave."""
-    run = read_run(folder / "run")
+    run = ls.read(folder / "run")
     columns = {name: run.recording("a").column(name) for name in run.recording("a").columns}
     return columns, read_frfs(folder / "run")[0].response
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block
+from conversions import TWO_PI, db
 from known_loops import CONTROLLER, LOOP, RATE, estimates, plant, record, run_loop
 from scipy.signal import butter, chirp, lfilter, sosfilt
 
-from loopshape.core.units import TWO_PI, db
-from loopshape.data.control.controller import Block
-from loopshape.data.signal.recording import Recording
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 
@@ -66,7 +66,7 @@ def test_in_open_loop_both_estimators_are_one():
 def direct_notes(place, *, drop=(), loop=LOOP):
     n, v = (x[0] for x in signals(60, 1))
     whole = record(place, "noise", n, *run_loop(place, n, 0.01 * v))
-    kept = Recording(whole.info, RATE, {k: x for k, x in whole.columns.items() if k not in drop})
+    kept = ls.Recording(whole.info, RATE, {k: x for k, x in whole.columns.items() if k not in drop})
     return " ".join(estimate_frf(kept, loop, Settings("direct")).notes)
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup
 from known_loops import RATE, A, B, record, run_loop
 from scipy.signal import firwin, lfilter
 
-from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.signal.experiment import LoopSetup
+import loopshape as ls
 from loopshape.identify.quality.feedback_check import feedback_check, repeats
 from loopshape.identify.quality.quality import loop_feedback, open_loop_note
 
@@ -248,9 +248,9 @@ def test_an_input_behind_an_anti_aliasing_filter_is_no_feedback_if_one_says_so()
 
 def test_refuses_short_records_and_odd_rates():
     rng = np.random.default_rng(5)
-    with pytest.raises(BadSignalError, match="too short to look for feedback"):
+    with pytest.raises(ls.errors.BadSignalError, match="too short to look for feedback"):
         feedback_check(rng.standard_normal(100), rng.standard_normal(100))
-    with pytest.raises(BadSignalError, match="too few periods"):
+    with pytest.raises(ls.errors.BadSignalError, match="too few periods"):
         feedback_check(rng.standard_normal(1000), rng.standard_normal(1000), period=700)
-    with pytest.raises(WrongUseError, match="rate of false alarms"):
+    with pytest.raises(ls.errors.WrongUseError, match="rate of false alarms"):
         feedback_check(rng.standard_normal(1000), rng.standard_normal(1000), false_alarms=1.0)

@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo, TransferFunction
+from conversions import TWO_PI
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.fit import Data, fit, fit_best, modes, residual_tests, runs_test, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.structures import Integrator, Rational, ThirdOrder, levy
@@ -32,7 +30,7 @@ def circular(rng, std):
 def frf_of(response, std, f=F, **words):
     variance, known = (std**2)[:, None, None] + 0j, np.ones(f.size, dtype=bool)
     names = {"recording": "r1", "loop": "axis", "rate_hz": 1000.0}
-    return FRF(f, response[:, None, None], variance, known, ("z_v",), ("y_rad",), "made up", **names, **words)
+    return ls.FRF(f, response[:, None, None], variance, known, ("z_v",), ("y_rad",), "made up", **names, **words)
 
 
 def repeated(structure, model, share, count=300, weighting="variance", slope=0.0, f=F):
@@ -260,7 +258,7 @@ def measured(periods, rng):
     info = RecordingInfo(
         "r1.parquet", "multisine", "control", excites="axis", closed_loop=False, period_s=8.0, periodic_from_s=0.0
     )  # fmt: skip
-    return estimate_frf(Recording(info, rate_hz, columns), LoopSetup("axis", None, None, "z_v", "y_rad", None))
+    return estimate_frf(ls.Recording(info, rate_hz, columns), LoopSetup("axis", None, None, "z_v", "y_rad", None))
 
 
 @pytest.mark.long

@@ -5,14 +5,12 @@ import known_loops as known
 import numpy as np
 import pytest
 import two_loops as two
+from bench_nouns import LoopSetup, RecordingInfo
+from conversions import TWO_PI
 from scipy.signal import cont2discrete, lfilter
 from scipy.stats import f as f_distribution
 
-from loopshape.core.errors import BadSignalError
-from loopshape.core.units import TWO_PI
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.local.local_fits import Window, fit_lines, predicted
 from loopshape.identify.matrix.matrix import estimate_matrix
@@ -159,7 +157,7 @@ def test_no_resonance_falls_between_lines_where_answers_to_the_instrument_are_sm
 
 
 def test_too_few_lines_are_refused_with_a_way_out():
-    with pytest.raises(BadSignalError, match="too few frequencies in one stretch") as caught:
+    with pytest.raises(ls.errors.BadSignalError, match="too few frequencies in one stretch") as caught:
         estimate_frf(records(0.5, 0.5, 40.0, 1)[0], OPEN, LOCAL)
     assert "Welch" in str(caught.value)
 
@@ -184,12 +182,12 @@ def open_recording(k, size=2000, level=0.002):
         x = two.A @ x + two.B @ u[i]
     y += level * np.random.default_rng(k).standard_normal(y.shape)
     info = RecordingInfo(f"r{k}.parquet", "noise", "control", excites=f"l{k}", closed_loop=False)
-    return Recording(info, RATE, {f"z{j}_v": u[:, j] for j in (0, 1)} | {f"y{j}_rad": y[:, j] for j in (0, 1)})
+    return ls.Recording(info, RATE, {f"z{j}_v": u[:, j] for j in (0, 1)} | {f"y{j}_rad": y[:, j] for j in (0, 1)})
 
 
 def test_a_matrix_in_open_loop_is_found_from_one_input_after_the_other():
     loops = tuple(LoopSetup(f"l{k}", None, None, f"z{k}_v", f"y{k}_rad", None) for k in (0, 1))
-    run = Run(RATE, loops, [open_recording(k) for k in (0, 1)])
+    run = ls.Run(RATE, loops, [open_recording(k) for k in (0, 1)])
     frf = estimate_matrix(run, run.recordings, LOCAL).between(1.0, 25.0)
     np.testing.assert_allclose(frf.response, two.plant(frf.frequency_hz), atol=0.02)
 

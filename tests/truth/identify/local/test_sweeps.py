@@ -5,6 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import RecordingInfo
+from conversions import TWO_PI
 from scipy.signal import chirp, lfilter, max_len_seq
 from swept_loop import (
     HIGH,
@@ -24,11 +26,8 @@ from swept_loop import (
 
 import loopshape as ls
 from loopshape.core import stretches
-from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import LongColumns
-from loopshape.core.units import TWO_PI
 from loopshape.data.signal.excitation_parts import is_sweep
-from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.local import long_sweeps
 from loopshape.identify.local.sweeps import swept_band
@@ -96,7 +95,7 @@ def test_a_loop_that_was_not_at_rest_at_the_start_is_no_response():
     n = swept(30.0)
     record = recorded("controller_input", n, seed=0)
     y = record.column("y_rad") + 0.5 * np.exp(-np.arange(n.size) / RATE / 0.8)
-    moved = Recording(record.info, RATE, dict(record.columns) | {"y_rad": y})
+    moved = ls.Recording(record.info, RATE, dict(record.columns) | {"y_rad": y})
     frf = estimate_frf(moved, LOOP)
     error = np.abs(frf.siso / plant(frf.frequency_hz, RATE) - 1.0)
     assert np.median(error) < 0.005
@@ -117,10 +116,10 @@ def test_the_band_is_read_from_the_injected_signal(case):
 
 
 def test_a_sweep_over_fewer_lines_than_a_window_is_refused():
-    with pytest.raises(BadSignalError, match="four cycles at least"):
+    with pytest.raises(ls.errors.BadSignalError, match="four cycles at least"):
         estimate_frf(recorded("plant_input", swept(20.0)[:600], seed=0), LOOP)
     n = np.sin(TWO_PI * np.cumsum(np.linspace(20.0, 26.0, 200)) / RATE)
-    with pytest.raises(BadSignalError, match="crosses too few lines"):
+    with pytest.raises(ls.errors.BadSignalError, match="crosses too few lines"):
         estimate_frf(recorded("plant_input", n, seed=0), LOOP)
 
 
@@ -162,7 +161,7 @@ def test_harmonics_of_a_nonlinear_machine_are_neither_plant_nor_noise(both_ways)
 def recorded_open(n, y, seed):
     v = 0.01 * y.std() * np.random.default_rng(seed).standard_normal(n.size)
     columns = {"z_v": n, "y_rad": y + v, "r_rad": np.zeros(n.size), "n_rad": n}
-    return Recording(RecordingInfo("r1.parquet", "sweep", "controller_input", excites="axis"), RATE, columns)
+    return ls.Recording(RecordingInfo("r1.parquet", "sweep", "controller_input", excites="axis"), RATE, columns)
 
 
 SHAPES = {

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Multisine
 from two_loops import PLACES, RATE, equivalent_plant, plant, runs, white
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import Multisine
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
@@ -82,5 +82,5 @@ def test_multisines_of_different_periods_are_refused():
     size = min(x.size for x in n)
     run = runs("plant_input", [n[0][:size], n[1][:size]], 0.0, 1, "multisine", period_s=4.0, periodic_from_s=1.0)[0]
     second = replace(run.recordings[1], info=replace(run.recordings[1].info, period_s=5.0))
-    with pytest.raises(WrongUseError, match="different periods"):
+    with pytest.raises(ls.errors.WrongUseError, match="different periods"):
         estimate_matrix(run, [run.recordings[0], second])

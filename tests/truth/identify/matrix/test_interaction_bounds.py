@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
+import loopshape as ls
 from loopshape.data.algebra import channels
-from loopshape.data.control.controller import Block, Controller
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant, magnitude_bounds, product_bounds
 from loopshape.identify.matrix.interaction import interaction_coefficient, relative_gain
 
@@ -117,7 +118,7 @@ def test_the_deviation_of_an_equivalent_plant_and_of_its_change_is_their_scatter
     P = coupled_by(-6.0)[0]
     f = np.linspace(2.0, 2.0 + 1e-6, DRAWS)
     C = full_covariance(5, 0.02 * np.abs(P.T.ravel()))
-    K = {name: Controller(name, (Block("gain", {"gain": 15.0}),), 1000.0) for name in NAMES}
+    K = {name: ls.Controller(name, (Block("gain", {"gain": 15.0}),), 1000.0) for name in NAMES}
     found = equivalent_plant(matrix_frf(P, C, f, seed=9), NAMES, "theta1", K)
     closed = P[0, 0] - P[0, 1] * 15.0 * P[1, 0] / (1.0 + 15.0 * P[1, 1])
     scatter = np.mean(np.abs(found.closed.siso - closed) ** 2)

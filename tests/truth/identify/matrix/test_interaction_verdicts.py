@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.identify.matrix.interaction import interaction, octaves
 
 WIDE = ((0.1, 8.0),)
@@ -129,4 +129,4 @@ def test_an_element_lost_in_noise_is_named_as_the_reason():
     assert v.verdict == "undecided"
     assert v.high_db == np.inf
     assert "no upper bound" in v.sentence
-    assert isinstance(interaction(matrix_frf(P, C)).frf, FRF)
+    assert isinstance(interaction(matrix_frf(P, C)).frf, ls.FRF)

@@ -4,16 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, Multisine, RecordingInfo
 from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
 import loopshape as ls
-from loopshape.core.errors import BadSignalError, WrongUseError
-from loopshape.data.signal.excitation import Multisine
 from loopshape.data.signal.excitation_sets import orthogonal
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.identify.matrix.matrix import estimate_matrix
 
@@ -41,7 +37,7 @@ def draws(count, cube, level=LEVEL, seed=1):
         u = multisine(seed + k)
         u = 0.7 * u / u.std()
         y = lfilter(B, A, u + cube * u**3) + level * rng.standard_normal(u.size)
-        made.append(Recording(info(f"r{k}.parquet"), RATE, {"z_v": u, "y_rad": y}))
+        made.append(ls.Recording(info(f"r{k}.parquet"), RATE, {"z_v": u, "y_rad": y}))
     return made
 
 
@@ -88,7 +84,7 @@ def test_the_total_is_the_scatter_about_the_best_linear_approximation():
 def test_the_public_verb_takes_draws_together_where_asked_to():
     """With 300 other draws as the truth 95 % of lines lie within the interval of four draws, and fewer of one's."""
     best = estimate_realisations(draws(300, 0.3, level=0.0, seed=10_000), LOOP).siso
-    run = Run(RATE, (LOOP,), draws(40, 0.3))
+    run = ls.Run(RATE, (LOOP,), draws(40, 0.3))
     each = ls.frfs(run)
     fours = [ls.frfs(replace(run, recordings=run.recordings[k : k + 4]), realisations=True) for k in range(0, 40, 4)]
     assert (len(each), {len(one) for one in fours}) == (40, {1})
@@ -107,7 +103,7 @@ def test_a_period_stated_one_sample_wrong_is_found_and_said():
     (recording,) = draws(1, 0.0, level=0.0)
     right = estimate_frf(recording, LOOP)
     for stated in (N - 1, N + 1):
-        wrong = Recording(info(period_s=stated / RATE), RATE, recording.columns)
+        wrong = ls.Recording(info(period_s=stated / RATE), RATE, recording.columns)
         frf = estimate_frf(wrong, LOOP)
         assert any(f"repeats every {N} samples" in note and f"not every {stated}" in note for note in frf.notes)
         np.testing.assert_array_equal(frf.frequency_hz, right.frequency_hz)
@@ -137,7 +133,7 @@ def outputs(u):
 def together(number, u):
     y = outputs(u)
     words = info(f"r{number}.parquet", excites="l0", excites_also=("l1",))
-    return Recording(words, RATE, {f"z{k}_v": u[:, k] for k in (0, 1)} | {f"y{k}_rad": y[:, k] for k in (0, 1)})
+    return ls.Recording(words, RATE, {f"z{k}_v": u[:, k] for k in (0, 1)} | {f"y{k}_rad": y[:, k] for k in (0, 1)})
 
 
 def block(seed, first=0):
@@ -149,25 +145,25 @@ def block(seed, first=0):
 @pytest.mark.parametrize("blocks", [1, 2])
 def test_orthogonal_multisines_solve_the_matrix_exactly_without_noise(blocks):
     recordings = [r for k in range(blocks) for r in block(10 * k, 2 * k)]
-    frf = estimate_matrix(Run(RATE, LOOPS, recordings), recordings)
+    frf = estimate_matrix(ls.Run(RATE, LOOPS, recordings), recordings)
     np.testing.assert_allclose(frf.response, matrix(frf.frequency_hz), rtol=1e-8, atol=1e-12)
     assert (frf.noise_covariance is None) == (blocks == 1)
 
 
 def test_sets_that_cannot_be_solved_are_refused():
     first, second = block(0)
-    with pytest.raises(WrongUseError, match="as many recordings, or a multiple"):
-        estimate_matrix(Run(RATE, LOOPS, [first]), [first])
-    same = Recording(second.info, RATE, first.columns)
-    with pytest.raises(BadSignalError, match="cannot be separated"):
-        estimate_matrix(Run(RATE, LOOPS, [first, same]), [first, same])
-    with pytest.raises(WrongUseError, match="realisations are two recordings or more"):
+    with pytest.raises(ls.errors.WrongUseError, match="as many recordings, or a multiple"):
+        estimate_matrix(ls.Run(RATE, LOOPS, [first]), [first])
+    same = ls.Recording(second.info, RATE, first.columns)
+    with pytest.raises(ls.errors.BadSignalError, match="cannot be separated"):
+        estimate_matrix(ls.Run(RATE, LOOPS, [first, same]), [first, same])
+    with pytest.raises(ls.errors.WrongUseError, match="realisations are two recordings or more"):
         estimate_realisations(draws(1, 0.0), LOOP)
 
 
 def test_loops_excited_a_different_number_of_times_are_refused():
     first = block(0)[0]
     said = [info(f"r{k}.parquet", excites=loop) for k, loop in enumerate(("l0", "l0", "l1"))]
-    alone = [Recording(words, RATE, first.columns) for words in said]
-    with pytest.raises(WrongUseError, match="as many recordings of each loop"):
-        estimate_matrix(Run(RATE, LOOPS, alone), alone)
+    alone = [ls.Recording(words, RATE, first.columns) for words in said]
+    with pytest.raises(ls.errors.WrongUseError, match="as many recordings of each loop"):
+        estimate_matrix(ls.Run(RATE, LOOPS, alone), alone)

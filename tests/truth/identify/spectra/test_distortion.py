@@ -6,13 +6,11 @@ from pathlib import Path
 import known_loops as known
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, Multisine, RecordingInfo
+from conversions import db
 from scipy.io import loadmat
 
-from loopshape.core.errors import BadSignalError
-from loopshape.core.units import db
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.quality.distortion import distortion
 
 RATE_HZ, PERIOD_S, N = 100.0, 4.0, 400
@@ -33,7 +31,7 @@ def record(u, y, period_s=PERIOD_S, injection="control", **columns):
         "r1.parquet", "multisine", injection, excites="axis", closed_loop=injection != "control",
         period_s=period_s, periodic_from_s=0.0,
     )  # fmt: skip
-    return Recording(info, RATE_HZ, {"z_v": u, "y_rad": y} | columns)
+    return ls.Recording(info, RATE_HZ, {"z_v": u, "y_rad": y} | columns)
 
 
 def noise(size, std, seed=1):
@@ -176,7 +174,7 @@ def test_a_record_without_two_periods_cannot_tell():
 
 def test_a_still_output_is_refused():
     u = multisine()
-    with pytest.raises(BadSignalError, match="constant"):
+    with pytest.raises(ls.errors.BadSignalError, match="constant"):
         distortion(record(u, np.zeros(u.size)), OPEN)
 
 
@@ -187,7 +185,7 @@ def bench():
     data = loadmat(BENCH)
     columns = {"r_a": data["iq_refx"], "i_a": data["iq_adx"], "m_rad": data["theta_mx"], "l_rad": -data["theta_my"]}
     info = RecordingInfo("type-b.mat", "multisine", "reference", excites="axis", period_s=1.0, periodic_from_s=0.0)
-    return Recording(info, 2500.0, {k: np.asarray(v).ravel() for k, v in columns.items()})
+    return ls.Recording(info, 2500.0, {k: np.asarray(v).ravel() for k, v in columns.items()})
 
 
 @pytest.mark.parametrize("side", ["m_rad", "l_rad"])

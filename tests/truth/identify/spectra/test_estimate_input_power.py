@@ -5,7 +5,7 @@ import pytest
 from scipy.io import loadmat
 from scipy.signal import firwin, lfilter
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.core.kernels.spectra import hann, segment_spectra
 from loopshape.identify.spectra.input_power import _leaked, own_power, powered, unfed_bands
 
@@ -68,7 +68,7 @@ def test_levels_alone_may_be_handed_in():
 
 
 def test_powers_of_another_shape_are_refused():
-    with pytest.raises(WrongUseError, match=r"\(frequencies, inputs, inputs\)"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"\(frequencies, inputs, inputs\)"):
         powered(np.ones((10, 2)))
 
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import BandNoise, Multisine, RecordingInfo, Sweep
 from known_loops import LOOP, RATE, estimates, plant, record, run_loop
 
-from loopshape.data.signal.excitation import BandNoise, Multisine, Sweep
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 
@@ -56,7 +56,7 @@ def test_a_delay_is_a_lag_and_a_gain_keeps_its_sign():
     x = np.random.default_rng(2).standard_normal(20000)
     y = -3.0 * np.concatenate([np.zeros(4), x[:-4]])
     info = RecordingInfo("r1.parquet", "noise", "control", excites="axis", closed_loop=False)
-    frf = estimate_frf(Recording(info, RATE, {"z_v": x, "y_rad": y}), LOOP).between(0.5, 10.0)
+    frf = estimate_frf(ls.Recording(info, RATE, {"z_v": x, "y_rad": y}), LOOP).between(0.5, 10.0)
     f = frf.frequency_hz
     # Hann segments of 20 s lose 0.04 s at an end: the answer is off by the delay's share of a segment, 0.2 %
     np.testing.assert_allclose(frf.siso, -3.0 * np.exp(-2j * np.pi * f * 4 / RATE), rtol=0.02)

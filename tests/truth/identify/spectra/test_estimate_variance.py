@@ -10,11 +10,11 @@ degrees of freedom, which count as twenty more averages: a circle holds 0.94 how
 
 import numpy as np
 import pytest
+from bench_nouns import BandNoise, Multisine, Sweep
 from known_loops import CONTROLLER, RATE, common_lines, estimates, plant
 from scipy.signal import freqz, lfilter
 from scipy.stats import f as f_distribution
 
-from loopshape.data.signal.excitation import BandNoise, Multisine, Sweep
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.averages import POOLED
 

@@ -7,17 +7,14 @@ import json
 
 import numpy as np
 import pytest
+from commands import invoked
 from known_loops import LOOP, RATE, A, B, record, run_loop
+from run_files import read_frfs
 from scipy import signal
-from typer.testing import CliRunner
 
-from loopshape.cli.main import app
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import WINDOWS, Settings
-from loopshape.io.run.run_folder import write_run
-from loopshape.io.write.frfs import read_frfs
 
 N = 4000
 
@@ -94,9 +91,9 @@ def test_joint_input_output_estimator_in_closed_loop(estimator):
 
 def test_the_command_takes_the_recipe(tmp_path):
     r = open_record()
-    write_run(tmp_path / "run", Run(RATE, (LOOP,), (r,)))
+    ls.write(ls.Run(RATE, (LOOP,), (r,)), tmp_path / "run")
     recipe = "--estimator hv --window blackman --symmetric --detrend linear --overlap 0.5 --segment-samples 256"
-    done = CliRunner().invoke(app, ["frf", str(tmp_path / "run"), *recipe.split(), "--no-figures", "--json"])
+    done = invoked(["frf", str(tmp_path / "run"), *recipe.split(), "--no-figures", "--json"])
     assert done.exit_code == 0, done.output
     method = json.loads(done.stdout)["frfs"][0]["method"]
     assert "hv estimator, Welch, symmetric blackman window, linear taken off" in method
@@ -116,18 +113,18 @@ def test_the_command_takes_the_recipe(tmp_path):
     ],
 )
 def test_recipes_that_contradict_themselves_are_refused(words, why):
-    with pytest.raises(WrongUseError, match=why):
+    with pytest.raises(ls.errors.WrongUseError, match=why):
         Settings(**words)
 
 
 def test_spectral_estimators_refuse_feedback_and_periods():
     n = np.random.default_rng(6).standard_normal(N)
     closed = record("controller_input", "noise", n, *run_loop("controller_input", n, 0.0 * n))
-    with pytest.raises(WrongUseError, match="open loop"):
+    with pytest.raises(ls.errors.WrongUseError, match="open loop"):
         estimate_frf(closed, LOOP, Settings("h1"))
     u = np.tile(n[:500], 8)
     repeats = record("control", "multisine", u, u, signal.lfilter(B, A, u), 5.0, 0.0)
-    with pytest.raises(WrongUseError, match="averages segments"):
+    with pytest.raises(ls.errors.WrongUseError, match="averages segments"):
         estimate_frf(repeats, LOOP, Settings("h2"))
-    with pytest.raises(WrongUseError, match="a window and segments"):
+    with pytest.raises(ls.errors.WrongUseError, match="a window and segments"):
         estimate_frf(repeats, LOOP, Settings(window="hamming"))

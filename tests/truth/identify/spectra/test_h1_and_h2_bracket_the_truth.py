@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import BandNoise, LoopSetup, RecordingInfo
 from h1_h2 import h1_h2
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import BandNoise
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 
@@ -23,7 +21,7 @@ def record(seed, input_noise=0.0, output_noise=0.0, closed=False, kind="noise", 
     u = x + input_noise * rng.standard_normal(x.size)
     y = K * x + output_noise * rng.standard_normal(x.size)
     info = RecordingInfo(f"r{seed}.csv", kind, "control", excites="spring", closed_loop=closed, period_s=period_s)
-    return Recording(info, RATE, {"stretch_m": u, "pull_n": y})
+    return ls.Recording(info, RATE, {"stretch_m": u, "pull_n": y})
 
 
 def mean_gains(**noise):
@@ -78,14 +76,14 @@ def test_more_records_shrink_the_variance_by_their_number():
 
 
 def test_closed_loops_sweeps_periods_and_other_rates_are_refused():
-    with pytest.raises(WrongUseError, match="open loop"):
+    with pytest.raises(ls.errors.WrongUseError, match="open loop"):
         h1_h2([record(0, closed=True)], LOOP)
-    with pytest.raises(WrongUseError, match="is a sweep"):
+    with pytest.raises(ls.errors.WrongUseError, match="is a sweep"):
         h1_h2([record(0, kind="sweep")], LOOP)
-    with pytest.raises(WrongUseError, match="whole periods"):
+    with pytest.raises(ls.errors.WrongUseError, match="whole periods"):
         h1_h2([record(0, period_s=6.0)], LOOP)
-    slow = Recording(record(1).info, 100.0, record(1).columns)
-    with pytest.raises(WrongUseError, match="share a rate"):
+    slow = ls.Recording(record(1).info, 100.0, record(1).columns)
+    with pytest.raises(ls.errors.WrongUseError, match="share a rate"):
         h1_h2([record(0), slow], LOOP)
-    with pytest.raises(WrongUseError, match="need a record"):
+    with pytest.raises(ls.errors.WrongUseError, match="need a record"):
         h1_h2([], LOOP)

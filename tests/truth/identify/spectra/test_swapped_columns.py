@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conversions import TWO_PI
 from known_loops import LOOP, RATE, record, run_loop
 from scipy.signal import cont2discrete, lfilter
 
-from loopshape.core.errors import BadSignalError
-from loopshape.core.units import TWO_PI
-from loopshape.data.signal.recording import Recording
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 
@@ -77,8 +76,8 @@ def test_one_column_that_was_mapped_twice_is_refused(other):
     n = np.random.default_rng(3).standard_normal(N)
     whole = record("controller_input", "noise", n, *run_loop("controller_input", n, 0.0 * n))
     columns = dict(whole.columns) | {"y_rad": np.array(whole.columns[other])}
-    with pytest.raises(BadSignalError, match=f"y_rad and {other} of loop axis .* same numbers.*map each"):
-        estimate_frf(Recording(whole.info, RATE, columns), UNKNOWN)
+    with pytest.raises(ls.errors.BadSignalError, match=f"y_rad and {other} of loop axis .* same numbers.*map each"):
+        estimate_frf(ls.Recording(whole.info, RATE, columns), UNKNOWN)
 
 
 def test_an_output_that_is_a_multiple_of_the_input_is_told():

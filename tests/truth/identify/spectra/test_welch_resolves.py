@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup, RecordingInfo
+from conversions import TWO_PI
 from scipy.signal import cont2discrete, freqz, lfilter
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.welch import by_welch
@@ -39,7 +39,7 @@ def record(damping, length_s, seed):
     y = lfilter(b, a, u)
     y += 0.05 * y.std() * rng.standard_normal(y.size)
     info = RecordingInfo("r1.parquet", "noise", "control", excites="axis", closed_loop=False)
-    return Recording(info, RATE, {"u_v": u[4000:], "y_m": y[4000:]})
+    return ls.Recording(info, RATE, {"u_v": u[4000:], "y_m": y[4000:]})
 
 
 def answers(damping, length_s, seed, settings=WELCH):

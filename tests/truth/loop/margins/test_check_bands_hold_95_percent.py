@@ -2,18 +2,18 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop
+from conversions import TWO_PI, ComplexArray, db, deg
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import TWO_PI, ComplexArray, db, deg
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.points import PLACES, band, circular_places
 
 RATE, RUNS = 1000.0, 400
 F = np.geomspace(0.2, 40.0, 60)
-CONTROLLER = Controller("axis", (Block("gain", {"gain": 1.6}), Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 30.0})), RATE)
+CONTROLLER = ls.Controller(
+    "axis", (Block("gain", {"gain": 1.6}), Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 30.0})), RATE
+)
 
 
 def truth() -> ComplexArray:
@@ -21,8 +21,8 @@ def truth() -> ComplexArray:
     return np.asarray(30.0 * np.exp(-0.002 * s) / s**2)
 
 
-def frf(response: ComplexArray, variance: np.ndarray) -> FRF:
-    return FRF(
+def frf(response: ComplexArray, variance: np.ndarray) -> ls.FRF:
+    return ls.FRF(
         F, response[:, None, None], variance[:, None, None] + 0j, np.ones(F.size, dtype=bool), ("z_v",), ("y_rad",),
         "made up", rate_hz=RATE,
     )  # fmt: skip
@@ -99,5 +99,5 @@ def test_a_phase_that_is_not_known_has_a_band_all_round() -> None:
 
 
 def test_other_names_are_refused() -> None:
-    with pytest.raises(WrongUseError, match="one of a loop's responses"):
+    with pytest.raises(ls.errors.WrongUseError, match="one of a loop's responses"):
         band(Loop(frf(truth(), np.zeros(F.size)), CONTROLLER, 2, unstable_poles=0), "Q")

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI, from_db, rad
 
-from loopshape.core.units import TWO_PI, from_db, rad
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.loop.margin.margins import margins
 
 RATE = 1000.0
@@ -61,8 +59,8 @@ LOOPS = {
 def loop_of(name):
     plant, blocks, integrators, unstable = LOOPS[name]
     G, known = plant.response(F)[:, None, None], np.ones(F.size, dtype=bool)
-    frf = FRF(F, G, 1e-20 * np.abs(G) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=RATE)
-    return Loop(frf, Controller("axis", blocks, RATE), integrators, unstable)
+    frf = ls.FRF(F, G, 1e-20 * np.abs(G) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=RATE)
+    return Loop(frf, ls.Controller("axis", blocks, RATE), integrators, unstable)
 
 
 @pytest.fixture(params=LOOPS)
@@ -261,7 +259,7 @@ def test_small_models_lead_to_a_crossover_a_third_of_an_octave_below_the_lines_a
 
 def test_a_loop_below_1_everywhere_needs_no_crossover():
     loop = loop_of("no integrator")
-    quiet = Controller("axis", (Block("gain", {"gain": 0.1}),), RATE)
+    quiet = ls.Controller("axis", (Block("gain", {"gain": 0.1}),), RATE)
     found = margins(Loop(loop.plant, quiet, 0, 0, LOOPS["no integrator"][0]))
     assert found.stable == "stable"
     assert (found.bandwidth_hz, found.crossings_hz, found.phase_margin_deg) == (0.0, (), np.inf)

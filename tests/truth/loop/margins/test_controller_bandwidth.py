@@ -2,17 +2,18 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, servos, wished
 
-from loopshape.data.control.controller import Block, Controller, controller_bandwidth_hz
+import loopshape as ls
+from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check
 
 LAG = Block("low_pass_1", {"f_hz": 10.0})
 
 
 def bandwidth(*blocks):
-    return controller_bandwidth_hz(Controller("one", blocks, RATE))
+    return controller_bandwidth_hz(ls.Controller("one", blocks, RATE))
 
 
 def test_a_low_pass_of_first_order_has_its_corner():
@@ -56,7 +57,7 @@ def test_a_check_reads_it():
     asked = wished(GAIN, phase_margin_deg=10.0, controller_bandwidth_hz=100.0)
     line = next(
         one
-        for one in check(servos(), Controller("one", (Block("gain", {"gain": 0.01}),), RATE), asked).lines
+        for one in ls.check(servos(), ls.Controller("one", (Block("gain", {"gain": 0.01}),), RATE), asked).lines
         if one.quantity == "controller_bandwidth_hz"
     )
     assert line.outcome == "failed"

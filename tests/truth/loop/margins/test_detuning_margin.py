@@ -5,17 +5,15 @@ from dataclasses import replace
 import motor_bench
 import numpy as np
 import pytest
+from bench_nouns import Rational
 from detuned_plants import TWO_MODES, Mode, closed, controller_with, frf_of, polynomials, true_reach
 
-from loopshape.data.requirement.requirements import Requirements
+import loopshape as ls
 from loopshape.data.result.detuning import STABILITY
 from loopshape.data.result.verdict_words import verdict_text
 from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.smooth.resonances import Phase, resonances
-from loopshape.identify.structures import Rational
-from loopshape.io.write.controllers import read_controllers
-from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check
 
 LINES = np.unique(np.round(np.concatenate([np.arange(2.0, 200.0, 0.25), np.geomspace(200.0, 900.0, 80)]), 4))
@@ -27,7 +25,7 @@ BIG = (Mode(58.84, 0.0039, 3.0),)
 
 
 def found_at(modes, controller, most_db, f_hz=LINES, relative=1e-4, seed=0, **asked):
-    asked = Requirements("axis", sensitivity_peak_db=most_db, unstable_poles=0, **asked)
+    asked = ls.Requirements("axis", sensitivity_peak_db=most_db, unstable_poles=0, **asked)
     return check([frf_of(modes, f_hz, relative, seed)], controller, asked).margins["r1"]
 
 
@@ -74,7 +72,7 @@ def test_one_resonance_moved_alone(one):
 
 def test_without_limits_it_is_the_shift_that_makes_the_loop_unstable():
     controller = controller_with(HIDDEN, gain=0.3)
-    found = check([frf_of(BIG, LINES)], controller, Requirements("axis", unstable_poles=0)).margins["r1"].detuning
+    found = check([frf_of(BIG, LINES)], controller, ls.Requirements("axis", unstable_poles=0)).margins["r1"].detuning
     stable = [closed(BIG, (0.0,), controller, x / 100.0)[0] for x in (found.up.percent - 0.05, found.up.percent + 0.05)]
     assert (found.up.breaks, stable) == (STABILITY, [True, False])
 
@@ -111,7 +109,7 @@ def test_a_loop_that_is_unstable_leaves_nothing():
 def test_a_limit_that_breaks_within_2_percent_is_warned_of_with_resonance_and_block():
     controller, asked = (
         controller_with(WIDE, gain=0.08),
-        Requirements("axis", sensitivity_peak_db=6.0, unstable_poles=0),
+        ls.Requirements("axis", sensitivity_peak_db=6.0, unstable_poles=0),
     )
     verdict = check([frf_of(BIG, LINES)], controller, asked)
     lost = verdict.margins["r1"].detuning.lost
@@ -126,7 +124,7 @@ def test_a_sharp_notch_on_a_sharp_mode_passes_and_is_warned_of():
     """Numerator damping 0.005 on a mode of 58.84 Hz and 0.0039: 5.7 of 6 dB, and 2 % off 7.05 dB."""
     controller, asked = (
         controller_with(HIDDEN, gain=0.12),
-        Requirements("axis", sensitivity_peak_db=6.0, unstable_poles=0),
+        ls.Requirements("axis", sensitivity_peak_db=6.0, unstable_poles=0),
     )
     frf = frf_of(BIG, np.unique(np.append(LINES, np.arange(56.0, 62.0, 0.05))))
     verdict = check([frf], controller, asked)
@@ -143,7 +141,7 @@ def test_a_loop_without_such_a_limit_is_not_warned_of():
     verdict = check(
         [frf_of(BIG, LINES)],
         controller_with(HIDDEN, gain=0.06),
-        Requirements("axis", gain_margin_db=3.0, unstable_poles=0),
+        ls.Requirements("axis", gain_margin_db=3.0, unstable_poles=0),
     )
     assert verdict.margins["r1"].detuning.lost is None
     assert not any("resonance" in warning for warning in verdict.warnings)
@@ -153,7 +151,7 @@ def test_a_requirement_is_judged():
     frf, controller = frf_of(BIG, LINES), controller_with(HIDDEN, gain=0.1)
     truth = true_reach(BIG, controller, 6.0, 1.0, step=0.05, most=5.0)
     for required, outcome in ((truth - 0.2, "passed"), (truth + 0.2, "failed")):
-        asked = Requirements("axis", sensitivity_peak_db=6.0, detuning_percent=required, unstable_poles=0)
+        asked = ls.Requirements("axis", sensitivity_peak_db=6.0, detuning_percent=required, unstable_poles=0)
         verdict = check([frf], controller, asked)
         assert (verdict.lines[-1].quantity, verdict.lines[-1].outcome) == ("detuning_percent", outcome)
         assert verdict.outcome == outcome
@@ -164,7 +162,7 @@ def test_it_can_be_left_out():
     frf, controller, asked = (
         frf_of(BIG, LINES),
         controller_with(WIDE, gain=0.08),
-        Requirements("axis", unstable_poles=0),
+        ls.Requirements("axis", unstable_poles=0),
     )
     without = check([frf], controller, asked, detuned=False).margins["r1"]
     assert np.isnan(without.detuning_percent)
@@ -211,8 +209,8 @@ def bench():
 def test_the_motor_bench_rests_on_its_resonance(bench):
     """Its shipped controller, tuned onto its limits, and the same with a sharp notch on the bench's mode at 76.5 Hz."""
     frf, model = bench
-    controller, asked = (read(motor_bench.FOLDER / name)[0] for read, name in
-                         ((read_controllers, "controller.toml"), (read_requirements, "requirements.toml")))  # fmt: skip
+    (controller,) = ls.read_controllers(motor_bench.FOLDER / "controller.toml")
+    (asked,) = ls.read_requirements(motor_bench.FOLDER / "requirements.toml")
     verdict = check([frf], controller, asked, [model])
     lost = verdict.margins["type-a"].detuning.lost
     assert verdict.passed

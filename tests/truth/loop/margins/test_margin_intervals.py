@@ -4,30 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import check
 
 RATE = 1000.0
 F = np.geomspace(0.1, 60.0, 400)
 # an integrator with two lags and a delay: the true peak of |S| is 8.4 dB
 LAGS = np.polymul([1.0 / (TWO_PI * 8.0), 1.0], [1.0 / (TWO_PI * 20.0), 1.0])
 PLANT = TransferFunction([51.8], np.polymul([1.0, 0.0], LAGS), 0.0027)
-CONTROLLER = Controller("axis", (Block("gain", {"gain": 1.0}),), RATE)
+CONTROLLER = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), RATE)
 DB = ("gain_margin_db", "sensitivity_peak_db", "complementary_peak_db", "process_peak_db")
 RELATIVE = ("modulus_margin", "delay_margin_s", "disk_margin", "bandwidth_hz")
 RUNS = 120
 
 
 def frf(response, std, recording="r1"):
-    return FRF(
+    return ls.FRF(
         F, response[:, None, None], (std * np.abs(PLANT.response(F)))[:, None, None] ** 2 + 0j,
         np.ones(F.size, dtype=bool), ("z_v",), ("y_rad",), "made up", recording=recording, loop="axis", rate_hz=RATE,
     )  # fmt: skip
@@ -137,11 +133,11 @@ def test_a_resonance_as_narrow_as_a_few_lines_is_not_smeared():
 
 
 def wish(**words):
-    return Requirements("axis", integrators=1, **words)
+    return ls.Requirements("axis", integrators=1, **words)
 
 
 def outcome(std, seed, **words):
-    verdict = check([draw(std, np.random.default_rng(seed))], CONTROLLER, wish(**words))
+    verdict = ls.check([draw(std, np.random.default_rng(seed))], CONTROLLER, wish(**words))
     return verdict.lines[0]
 
 
@@ -163,7 +159,7 @@ def test_an_undecided_line_says_how_much_more_measuring_would_decide():
 
 
 def test_the_verdict_is_as_undecided_as_its_lines():
-    verdict = check(
+    verdict = ls.check(
         [draw(0.05, np.random.default_rng(0))], CONTROLLER, wish(sensitivity_peak_db=8.4, gain_margin_db=1.0)
     )
     assert (verdict.outcome, verdict.passed) == ("undecided", False)

@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 
 import loopshape as ls
-from loopshape.data.control.block import Block
-from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.requirements import Requirements
 from loopshape.identify.smooth.smoothing import merged
 from loopshape.loop.verdict import check
 
 RATE_HZ, LAST_HZ = 10_000.0, 4_000.0
 BLOCKS = (Block("gain", {"gain": 5.0}), Block("lead_lag", {"f1_hz": 30.0, "f2_hz": 300.0}))
-CONTROLLER = Controller(loop="axis", rate_hz=RATE_HZ, blocks=BLOCKS)
+CONTROLLER = ls.Controller(loop="axis", rate_hz=RATE_HZ, blocks=BLOCKS)
 
 
 def pair(f, at_hz, damping):
@@ -113,7 +111,7 @@ def exact():
 
 
 def margins(frf):
-    return check([frf], CONTROLLER, Requirements("axis", unstable_poles=0), detuned=False).margins["r"]
+    return check([frf], CONTROLLER, ls.Requirements("axis", unstable_poles=0), detuned=False).margins["r"]
 
 
 def test_margins_of_an_exact_frf_are_those_of_the_plant():

@@ -2,15 +2,15 @@
 
 import numpy as np
 import pytest
+from bench_nouns import LoopSetup
 from plant_behind import plant_behind
 from predicted_loops import NEW, OLD, SETUP, arm, measured, predicted, recording
 from scipy.stats import binom
 
+import loopshape as ls
 from loopshape.data.algebra import regrid
-from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import trusted_lines
 from loopshape.data.result.prediction import Comparison
-from loopshape.data.signal.experiment import LoopSetup
 from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
 from loopshape.loop.predict.agreement import combined, on_common_lines, paired
 from loopshape.loop.predict.prediction import compare, compare_plants, sensitivity_of
@@ -97,7 +97,7 @@ def test_a_deviation_within_the_tolerance_is_none() -> None:
 def test_a_local_deviation_is_not_drowned_by_lines_that_agree_too_well() -> None:
     """Variances four times too large, as a sweep's are, make p-values of 1 elsewhere; the one band must show."""
     rng, f = np.random.default_rng(3), 0.05 * np.arange(2, 401)
-    wide = lambda frf: FRF(**{**vars(frf), "covariance": 16.0 * frf.covariance})  # noqa: E731
+    wide = lambda frf: ls.FRF(**{**vars(frf), "covariance": 16.0 * frf.covariance})  # noqa: E731
     one = wide(measured(rng, f, arm().response(f), 0.01, OLD))
     two = wide(measured(rng, f, arm(f_hz=5.4).response(f), 0.01, NEW))
     assert compare(predicted(one), sensitivity_of(two)).outcome == "did not hold"
@@ -186,7 +186,7 @@ def two_plants(seed, relative, gain=1.0):
     def drawn(P):
         errors = rng.standard_normal((2, LINES.size)) / np.sqrt(2.0)
         noisy = P * (1.0 + relative * (errors[0] + 1j * errors[1]))
-        return FRF.from_arrays(LINES, noisy, std=relative * np.abs(P), inputs=("u_v",), outputs=("y_m",))
+        return ls.FRF.from_arrays(LINES, noisy, std=relative * np.abs(P), inputs=("u_v",), outputs=("y_m",))
 
     return drawn(G), drawn(gain * G)
 

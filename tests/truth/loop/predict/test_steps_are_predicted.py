@@ -2,28 +2,24 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Estimate, Integrator, LoopSetup, RecordingInfo, ThirdOrder, TransferFunction
+from conversions import TWO_PI, Array, ComplexArray
 from predicted_loops import NEW, OLD, RATE_HZ, arm, measured
 from scipy.signal import cont2discrete, lfilter, sosfilt
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.response.model import Estimate, Fit, TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.fit import fit
-from loopshape.identify.structures import Integrator, ThirdOrder
 from loopshape.loop.predict.indicators import indicators, recorded_steps, tracking
 from loopshape.loop.predict.prediction import predict
 from loopshape.loop.predict.step_response import closed_loop, predict_step, step_from_lines
 
-GAIN = Controller("a", (Block("gain", {"gain": 2.0}),), RATE_HZ)
+GAIN = ls.Controller("a", (Block("gain", {"gain": 2.0}),), RATE_HZ)
 
 
-def exact_fit(model: object) -> Fit:
+def exact_fit(model: object) -> ls.Fit:
     """A fit without spread of whatever answers at a frequency."""
     none = tuple(Estimate(name, 1.0, "1", 0.0) for name in ("kappa",))
-    return Fit("integrator", model, none, np.zeros((1, 1)), "converged", 1.0, 0.5, 0.5, 0.0, (0.1, 20.0), 100)  # type: ignore[arg-type]
+    return ls.Fit("integrator", model, none, np.zeros((1, 1)), "converged", 1.0, 0.5, 0.5, 0.0, (0.1, 20.0), 100)  # type: ignore[arg-type]
 
 
 class Sampled:
@@ -40,7 +36,7 @@ class Sampled:
         return np.asarray((powers @ self.num) / (powers @ self.den) * q**self.delay)
 
 
-def simulated(plant: Sampled, controller: Controller, n: int) -> Array:
+def simulated(plant: Sampled, controller: ls.Controller, n: int) -> Array:
     """Unit step of the loop, sample by sample."""
     sos = np.array([[b0, b1, b2, 1.0, a1, a2] for b0, b1, b2, a1, a2 in controller.biquads()])
     zc, zp = np.zeros((len(sos), 2)), np.zeros(plant.den.size - 1)
@@ -96,7 +92,7 @@ def test_overshoot_and_error_of_a_second_order_loop_are_those_of_the_formula() -
 
 def test_a_slow_tail_is_waited_for() -> None:
     """A slow integral action: after a second the output stands at 2/3, and it takes minutes to reach 1."""
-    slow = Controller("a", (Block("gain", {"gain": 2.0}), Block("pi", {"f_hz": 0.001})), RATE_HZ)
+    slow = ls.Controller("a", (Block("gain", {"gain": 2.0}), Block("pi", {"f_hz": 0.001})), RATE_HZ)
     lag = TransferFunction(np.array([5.0]), np.array([1.0, 5.0]))
     step = predict_step(exact_fit(lag), slow, draws=0)
     assert step is not None
@@ -106,7 +102,7 @@ def test_a_slow_tail_is_waited_for() -> None:
 
 @pytest.mark.parametrize("gain", [30.0, 100.0])
 def test_an_unstable_loop_has_no_step(gain: float) -> None:
-    hot = Controller("a", (Block("gain", {"gain": gain}),), RATE_HZ)
+    hot = ls.Controller("a", (Block("gain", {"gain": gain}),), RATE_HZ)
     assert predict_step(exact_fit(arm()), hot, draws=0) is None
 
 
@@ -143,11 +139,11 @@ def test_a_step_of_the_lines_is_that_of_the_model_and_its_band_covers_it() -> No
 def test_lines_that_cannot_carry_a_step_are_refused(low: int, high: int, word: str) -> None:
     f = 0.05 * np.arange(low, high)
     frf = measured(np.random.default_rng(0), f, 1.0 - closed_loop(arm(), NEW)(f), 1e-4, NEW)
-    with pytest.raises(WrongUseError, match=word):
+    with pytest.raises(ls.errors.WrongUseError, match=word):
         step_from_lines(frf)
 
 
-def staircase(noise: float, seed: int = 0) -> tuple[Recording, LoopSetup]:
+def staircase(noise: float, seed: int = 0) -> tuple[ls.Recording, LoopSetup]:
     """Steps of +0.1 at 2 s and -0.2 at 6 s of a loop 1/(0.1 s + 1), T(0) = 0.98."""
     t = np.arange(10_000) / RATE_HZ
     r = np.where(t < 2.0, 1.0, np.where(t < 6.0, 1.1, 0.9))
@@ -155,7 +151,7 @@ def staircase(noise: float, seed: int = 0) -> tuple[Recording, LoopSetup]:
     y = 1.0 + 0.098 * move(2.0) - 0.196 * move(6.0) + noise * np.random.default_rng(seed).standard_normal(t.size)
     info = RecordingInfo("steps.parquet", "staircase", "reference")
     loop = LoopSetup("a", "r_a_rad", None, "z_a_v", "a_rad", None)
-    return Recording(info, RATE_HZ, {"r_a_rad": r, "a_rad": y, "z_a_v": r}), loop
+    return ls.Recording(info, RATE_HZ, {"r_a_rad": r, "a_rad": y, "z_a_v": r}), loop
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.0003])
@@ -189,7 +185,7 @@ def test_a_moving_setpoint_is_no_step_and_its_error_is_predicted() -> None:
     r = np.clip(t - 1.0, 0.0, 2.0)
     y = lfilter([1.0 - np.exp(-0.01)], [1.0, -np.exp(-0.01)], r)
     info = RecordingInfo("profile.parquet", "profile", "reference")
-    recording = Recording(info, RATE_HZ, {"r_a_rad": r, "a_rad": y, "z_a_v": r})
+    recording = ls.Recording(info, RATE_HZ, {"r_a_rad": r, "a_rad": y, "z_a_v": r})
     loop = LoopSetup("a", "r_a_rad", None, "z_a_v", "a_rad", None)
     assert recorded_steps(recording, loop) == ()
     answer = 1.0 - np.exp(-(t + 1.0 / RATE_HZ) / 0.1)
@@ -225,14 +221,14 @@ def test_without_a_fit_the_step_comes_from_the_lines_or_it_is_said_why_not() -> 
 
 def test_models_that_do_not_settle_are_counted_and_take_the_intervals_away() -> None:
     """kappa/s³-like with a gain just inside the limit, known to 20 %: nearly half of the draws are unstable."""
-    gain = Controller("a", (Block("gain", {"gain": 1.0}),), RATE_HZ)
+    gain = ls.Controller("a", (Block("gain", {"gain": 1.0}),), RATE_HZ)
     w, zeta = TWO_PI * 5.0, 0.1
     limit = 2.0 * zeta * w**3  # of kappa, by Routh
     values = (("kappa", 0.95 * limit), ("f_hz", 5.0), ("zeta", zeta))
     std = np.array([0.2 * limit, 1e-6, 1e-6])
     estimates = tuple(Estimate(name, value, "1", s) for (name, value), s in zip(values, std, strict=True))
     model = arm(kappa=0.95 * limit, zeta=zeta)
-    made = Fit("third_order", model, estimates, np.diag(std**2), "converged", 1.0, 0.5, 0.5, 0.0, (0.1, 20.0), 100)
+    made = ls.Fit("third_order", model, estimates, np.diag(std**2), "converged", 1.0, 0.5, 0.5, 0.0, (0.1, 20.0), 100)
     step = predict_step(made, gain, draws=200)
     assert step is not None
     assert 0.3 < step.unsettled < 0.6

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from bench_nouns import LoopMatrix
+from conversions import TWO_PI
 from several_cases import (
     crossing_somewhere,
     frf_of,
@@ -16,8 +18,6 @@ from several_cases import (
     response_of,
 )
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.loop import LoopMatrix
 from loopshape.loop.matrix.determinant import closed_loops_stability, count_from_held
 from loopshape.loop.stability.obstacles import Obstacle
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from bench_nouns import LoopMatrix
+from conversions import TWO_PI
 from several_cases import frf_of, gain, loops, noisy
 
-from loopshape.core.units import TWO_PI
 from loopshape.data.algebra.operations import controller_frf, feedback
-from loopshape.data.control.loop import LoopMatrix
 from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.matrix.determinant import determinant_variance
 from loopshape.loop.matrix.several_margins import several_margins

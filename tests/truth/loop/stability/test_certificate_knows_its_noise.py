@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of, with_mode
 
-from loopshape.core.units import TWO_PI
 from loopshape.data.response.smoothed import spread
 from loopshape.loop.stability.obstacles import WRONG, chance_of_error, reach_of
 from loopshape.loop.stability.stability import closed_loop_stability

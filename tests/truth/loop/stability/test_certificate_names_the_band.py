@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Loop
+from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, frf_of, limit_gain, loop_of
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.loop import Loop
 from loopshape.loop.stability.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]

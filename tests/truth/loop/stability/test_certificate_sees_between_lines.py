@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
+from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, loop_of, real, with_mode
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block
-from loopshape.data.response.model import TransferFunction
 from loopshape.loop.margin.between import path_of
 from loopshape.loop.stability.obstacles import obstacles, sampling
 from loopshape.loop.stability.sampling import hidden_poles, roughness

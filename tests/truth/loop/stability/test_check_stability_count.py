@@ -7,22 +7,20 @@ integrators, 0 or 1 unstable pole, resonances, real poles, zeros on either side,
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI, from_db
 
-from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.loop.stability.stability import closed_loop_stability
 
 
 def under_gain(gain):
-    return Controller("axis", (Block("gain", {"gain": float(gain)}),), 1e6)
+    return ls.Controller("axis", (Block("gain", {"gain": float(gain)}),), 1e6)
 
 
 def frf_of(f, response, relative_std=1e-8):
     G, known = response[:, None, None], np.ones(f.size, dtype=bool)
-    return FRF(f, G, (relative_std * np.abs(G)) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=1e6)
+    return ls.FRF(f, G, (relative_std * np.abs(G)) ** 2 + 0j, known, ("z_v",), ("y_rad",), "exact", rate_hz=1e6)
 
 
 def product(*polynomials):
@@ -183,7 +181,7 @@ def test_integrators_of_the_controller_count_as_well(integrators):
     lead = product(*[[0.3, 1.0]] * (integrators - 1))
     num, den = 20.0 * lead, np.concatenate([product([0.01, 1.0], [0.003, 1.0]), np.zeros(integrators - 1)])
     P = TransferFunction(num, den)
-    controller = Controller("axis", (Block("gain", {"gain": 1.0}), Block("pi", {"f_hz": 0.01})), 1e6)
+    controller = ls.Controller("axis", (Block("gain", {"gain": 1.0}), Block("pi", {"f_hz": 0.01})), 1e6)
     found = closed_loop_stability(Loop(frf_of(LINES, P.response(LINES)), controller, integrators - 1, unstable_poles=0))
     w = TWO_PI * 0.01
     assert found.unstable_poles == by_roots(np.polymul(num, [1.0, w]), np.polymul(den, [1.0, 0.0])) == 0

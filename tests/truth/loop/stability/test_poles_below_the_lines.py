@@ -2,12 +2,10 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, TransferFunction
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.loop.stability.low_end import is_large, is_told
 from loopshape.loop.stability.stability import closed_loop_stability
 
@@ -28,11 +26,11 @@ def product(*polynomials):
 
 def measured(plant, gain):
     P = plant.response(GRID)
-    frf = FRF(
+    frf = ls.FRF(
         GRID, P[:, None, None], (1e-6 * np.abs(P[:, None, None])) ** 2 + 0j, np.ones(GRID.size, dtype=bool), ("u",),
         ("y",), "drawn", rate_hz=1e5,
     )  # fmt: skip
-    controller = Controller("axis", (Block("gain", {"gain": gain}),), 1e5)
+    controller = ls.Controller("axis", (Block("gain", {"gain": gain}),), 1e5)
     return Loop(frf, controller, plant.integrators(), plant.unstable_poles())
 
 

@@ -6,13 +6,13 @@ polynomial. The bare count of the lines finds each of these loops stable, and ea
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop
+from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of, with_mode
 from tune_plants import DELAYED
 from tune_plants import frf as delayed
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
+import loopshape as ls
 from loopshape.loop.stability.crowded import crowd_of, stretches
 from loopshape.loop.stability.stability import closed_loop_stability
 
@@ -127,7 +127,7 @@ def test_resonances_drawn_close_together_are_never_counted_wrong():
 
 def test_a_long_delay_between_few_lines_is_no_resonance():
     # 2 exp(-0.02 s)/s turns by 30 to 90 deg from line to line above 46 Hz, where |L| stays near 0.3
-    controller = Controller("one", (Block("gain", {"gain": 21.0}), Block("lead_lag", LEAD_HZ)), 10_000.0)
+    controller = ls.Controller("one", (Block("gain", {"gain": 21.0}), Block("lead_lag", LEAD_HZ)), 10_000.0)
     loop = Loop(delayed(DELAYED, 60), controller, integrators=1, unstable_poles=0)
     f = np.geomspace(0.01, 4000.0, 400_000)
     L = DELAYED.response(f) * controller.response(f)

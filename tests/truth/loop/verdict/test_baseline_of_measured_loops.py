@@ -2,37 +2,34 @@
 
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+import loopshape as ls
 from loopshape.loop.baseline import checked, compare
-from loopshape.loop.verdict import check
 
 F = np.arange(0.2, 40.01, 0.2)
 W = TWO_PI * 6.3
 PLANT = TransferFunction([780.0], [1.0, 0.1 * W, W * W, 0.0]).response(F)  # an integrator and a resonance
-WISHED = Requirements("theta2", integrators=1, phase_margin_deg=1.0)
+WISHED = ls.Requirements("theta2", integrators=1, phase_margin_deg=1.0)
 
 
 def controller(gain=55.0):
     notch = {"f1_hz": 6.1, "f2_hz": 6.1, "damping1": 0.05, "damping2": 5.0}
     blocks = [Block("gain", {"gain": gain}), Block("lead_lag", {"f1_hz": 1.0, "f2_hz": 15.0}), Block("notch", notch)]
-    return Controller("theta2", (*blocks, Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7})), 1000.0)
+    return ls.Controller("theta2", (*blocks, Block("low_pass_2", {"f_hz": 15.0, "damping": 0.7})), 1000.0)
 
 
 def measured(rng, relative, drift=1.0, own=None):
     """A check of the loop on one more measurement of its plant, with circular errors of a relative size."""
     size = relative * np.abs(PLANT)
     error = size * (rng.standard_normal(F.size) + 1j * rng.standard_normal(F.size)) / np.sqrt(2.0)
-    frf = FRF(
+    frf = ls.FRF(
         F, (drift * PLANT + error)[:, None, None], (size**2)[:, None, None] + 0j, np.ones(F.size, dtype=bool),
         ("z_v",), ("y_rad",), "made up", recording="r1", loop="theta2", rate_hz=1000.0,
     )  # fmt: skip
     own = own or controller()
-    return checked(check([frf], own, WISHED), own, [frf])
+    return checked(ls.check([frf], own, WISHED), own, [frf])
 
 
 @pytest.mark.long

@@ -5,10 +5,10 @@ from math import hypot, inf, nan
 
 import numpy as np
 import pytest
+from bench_nouns import LIMITS
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
-from loopshape.data.requirement.requirements import LIMITS
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.io.write.check_files import Baseline
 from loopshape.loop.baseline import bridge, compare, data_mark, same_controller
 
@@ -215,7 +215,9 @@ def frf(scale=1.0):
     f = np.geomspace(0.1, 100.0, 400)
     G = scale * np.exp(0.3j) / (1j * f) / (1.0 + 1j * f / 30.0)
     shape = (f.size, 1, 1)
-    return FRF(f, G[:, None, None], np.full(shape, 1e-9 + 0j), np.ones(f.size, bool), ("z_v",), ("y_rad",), "made up")
+    return ls.FRF(
+        f, G[:, None, None], np.full(shape, 1e-9 + 0j), np.ones(f.size, bool), ("z_v",), ("y_rad",), "made up"
+    )
 
 
 def test_the_mark_of_data_survives_the_last_digits_and_no_more():

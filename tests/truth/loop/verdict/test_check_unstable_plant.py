@@ -4,31 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopSetup, RecordingInfo, TransferFunction
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.quality.quality import stayed_bounded
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.verdict import loops_of
 
 RATE = 20_000.0
 W = TWO_PI * 10.0
 NUM, DEN = np.array([W * W]), np.polymul([1.0, 0.0], [1.0, -0.1 * W, W * W])  # 1/s times a growing mode at 10 Hz
 LEAD = {"f1_hz": 8.0, "f2_hz": 100.0}
-HOLDING = Controller("l", (Block("gain", {"gain": 80.0}), Block("lead_lag", LEAD), Block("lead_lag", LEAD)), RATE)
-WEAK = Controller("l", (Block("gain", {"gain": 3.0}),), RATE)
-WISH = Requirements("l", phase_margin_deg=20.0)
+HOLDING = ls.Controller("l", (Block("gain", {"gain": 80.0}), Block("lead_lag", LEAD), Block("lead_lag", LEAD)), RATE)
+WEAK = ls.Controller("l", (Block("gain", {"gain": 3.0}),), RATE)
+WISH = ls.Requirements("l", phase_margin_deg=20.0)
 
 
 def recorded(held_by, std=1e-4, last_hz=400.0):
     f = np.geomspace(0.3, last_hz, 1500)
     G = TransferFunction(NUM, DEN).response(f)[:, None, None]
-    return FRF(
+    return ls.FRF(
         f, G, (std * np.abs(G)) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_m",), "made up",
         recording="r", loop="l", rate_hz=RATE, held_by=held_by,
     )  # fmt: skip
@@ -51,13 +47,13 @@ def test_both_poles_are_counted_and_the_weak_controller_fails():
     (loop,), notes = loops_of([recorded(HOLDING)], WEAK, WISH)
     assert loop.unstable_poles == 2
     assert "2 unstable poles, because the loop that was recorded was stable" in notes[0]
-    verdict = check([recorded(HOLDING)], WEAK, WISH)
+    verdict = ls.check([recorded(HOLDING)], WEAK, WISH)
     assert verdict.margins["r"].stable == "unstable"
     assert not verdict.passed
 
 
 def test_the_holding_controller_itself_is_stable():
-    assert check([recorded(HOLDING)], HOLDING, WISH).margins["r"].stable == "stable"
+    assert ls.check([recorded(HOLDING)], HOLDING, WISH).margins["r"].stable == "stable"
 
 
 @pytest.mark.parametrize("std", [1e-4, 0.03])
@@ -65,7 +61,7 @@ def test_a_single_unstable_pole_is_counted_too(std):
     # w^2/(s^2 - w^2) under gain 2.2 with a lead stands; under a gain of 0.5 it has one unstable pole
     w = TWO_PI * 8.0
     G = TransferFunction([w * w], [1.0, 0.0, -w * w]).response(np.geomspace(0.5, 300.0, 600))[:, None, None]
-    own = Controller("l", (Block("gain", {"gain": 2.2}), Block("lead_lag", {"f1_hz": 8.0, "f2_hz": 150.0})), RATE)
+    own = ls.Controller("l", (Block("gain", {"gain": 2.2}), Block("lead_lag", {"f1_hz": 8.0, "f2_hz": 150.0})), RATE)
     rng = np.random.default_rng(2)
     error = std * np.abs(G) * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)) / np.sqrt(2.0)
     f, covariance = np.geomspace(0.5, 300.0, 600), (std * np.abs(G)) ** 2 + 0j
@@ -75,9 +71,9 @@ def test_a_single_unstable_pole_is_counted_too(std):
     (loop,), notes = loops_of([frf], WEAK, replace(WISH, integrators=0))
     assert loop.unstable_poles == 1
     assert "1 unstable pole, because the loop that was recorded was stable" in notes[0]
-    weak = Controller("l", (Block("gain", {"gain": 0.5}),), RATE)
-    assert check([frf], own, replace(WISH, integrators=0)).margins["r"].stable == "stable"
-    assert check([frf], weak, replace(WISH, integrators=0)).margins["r"].stable == "unstable"
+    weak = ls.Controller("l", (Block("gain", {"gain": 0.5}),), RATE)
+    assert ls.check([frf], own, replace(WISH, integrators=0)).margins["r"].stable == "stable"
+    assert ls.check([frf], weak, replace(WISH, integrators=0)).margins["r"].stable == "unstable"
 
 
 def test_a_record_with_the_wrong_sign_contradicts_itself():
@@ -85,7 +81,7 @@ def test_a_record_with_the_wrong_sign_contradicts_itself():
     f = np.geomspace(0.3, 400.0, 1500)
     G = -TransferFunction([20.0], [0.02, 1.0, 0.0]).response(f)[:, None, None]
     frf = replace(recorded(WEAK), response=G, covariance=(1e-4 * np.abs(G)) ** 2 + 0j)
-    verdict = check([frf], WEAK, replace(WISH, integrators=1))
+    verdict = ls.check([frf], WEAK, replace(WISH, integrators=1))
     assert verdict.margins["r"].stable != "stable"
 
 
@@ -95,7 +91,7 @@ def test_nothing_is_counted_where_the_lines_cannot_carry_it(held_by):
     frf = recorded(held_by, std=3.0) if held_by is not None else recorded(None)
     (loop,), _ = loops_of([frf], WEAK, replace(WISH, integrators=1))
     assert loop.unstable_poles is None
-    assert check([frf], WEAK, replace(WISH, integrators=1)).outcome == "undecided"
+    assert ls.check([frf], WEAK, replace(WISH, integrators=1)).outcome == "undecided"
 
 
 def test_a_resonance_above_the_trusted_band_is_not_overlooked():
@@ -112,8 +108,8 @@ def test_a_resonance_above_the_trusted_band_is_not_overlooked():
         covariance=(share * np.abs(response)) ** 2 + 0j,
         trusted=f < 15.0,
     )
-    unit = Controller("l", (Block("gain", {"gain": 1.0}),), RATE)
-    margins = check([frf], unit, replace(WISH, integrators=1, unstable_poles=0)).margins["r"]
+    unit = ls.Controller("l", (Block("gain", {"gain": 1.0}),), RATE)
+    margins = ls.check([frf], unit, replace(WISH, integrators=1, unstable_poles=0)).margins["r"]
     assert margins.stable == "undecided"
     assert "above the band that is known well" in margins.stability_reason
 
@@ -127,15 +123,15 @@ def test_a_record_in_open_loop_whose_output_grows_is_no_witness(growth_per_s, to
         y[k + 1] = np.exp(growth_per_s / rate) * y[k] + u[k] / rate
     info = RecordingInfo("r.parquet", "noise", "control", closed_loop=False, excites="x")
     loop = LoopSetup("x", None, None, "u_v", "y_m", None)
-    assert stayed_bounded([Recording(info, rate, {"u_v": u, "y_m": y})], [loop], ["y_m"]) is told
+    assert stayed_bounded([ls.Recording(info, rate, {"u_v": u, "y_m": y})], [loop], ["y_m"]) is told
 
 
 def test_with_other_loops_closed_a_plant_recorded_in_open_loop_may_be_unstable():
     f = np.geomspace(0.1, 50.0, 200)
     G = np.broadcast_to(np.array([[1.0, 0.5], [0.5, 1.0]]) + 0j, (f.size, 2, 2))
-    frf = FRF(
+    frf = ls.FRF(
         f, G, np.zeros((f.size, 4, 4)) + 0j, np.ones(f.size, dtype=bool), ("a_v", "b_v"), ("a_m", "b_m"), "known",
         loop="a+b", rate_hz=RATE, open_loop=True,
     )  # fmt: skip
-    own = {name: Controller(name, (Block("gain", {"gain": 1.0}),), RATE) for name in "ab"}
+    own = {name: ls.Controller(name, (Block("gain", {"gain": 1.0}),), RATE) for name in "ab"}
     assert not equivalent_plant(frf, ("a", "b"), "a", own).closed.open_loop

@@ -5,20 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block, Loop, LoopSetup, Rational, RecordingInfo, ThirdOrder, TransferFunction
+from conversions import TWO_PI, db
 
-from loopshape.core.units import TWO_PI, db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
-from loopshape.data.signal.experiment import LoopSetup
-from loopshape.data.signal.recording import Recording, RecordingInfo
+import loopshape as ls
 from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.structures import Rational, ThirdOrder
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.verdict import loops_of
 
 RATE = 1000.0
 F = np.geomspace(0.1, 100.0, 1500)
@@ -27,14 +21,14 @@ F = np.geomspace(0.1, 100.0, 1500)
 def arm(recording, f_hz=6.3, kappa=780.0, zeta=0.05, f=F, std=1e-6):
     w = TWO_PI * f_hz
     G = TransferFunction([kappa], [1.0, 2.0 * zeta * w, w * w, 0.0]).response(f)[:, None, None]
-    return FRF(
+    return ls.FRF(
         f, G, (std * np.abs(G)) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_rad",), "made up",
         recording=recording, loop="theta2", rate_hz=RATE,
     )  # fmt: skip
 
 
 def controller(gain=55.0, notch_hz=6.1, rate_hz=RATE):
-    return Controller(
+    return ls.Controller(
         "theta2",
         (
             Block("gain", {"gain": gain}),
@@ -47,7 +41,7 @@ def controller(gain=55.0, notch_hz=6.1, rate_hz=RATE):
 
 
 def wish(**words):
-    return Requirements("theta2", **{"integrators": 1, "unstable_poles": 0} | words)
+    return ls.Requirements("theta2", **{"integrators": 1, "unstable_poles": 0} | words)
 
 
 POINTS = [arm("calm"), arm("stiff", f_hz=6.6), arm("strong", kappa=1500.0)]
@@ -59,7 +53,7 @@ def line_of(verdict, quantity):
 
 
 def test_a_requirement_missed_at_one_point_fails_and_names_point_and_frequency():
-    verdict = check(POINTS, controller(), wish(gain_margin_db=8.0, phase_margin_deg=20.0))
+    verdict = ls.check(POINTS, controller(), wish(gain_margin_db=8.0, phase_margin_deg=20.0))
     gain, phase = (line_of(verdict, q) for q in ("gain_margin_db", "phase_margin_deg"))
     alone = {x.plant.recording: margins(x) for x in loops_of(POINTS, controller(), wish())[0]}
     worst = min(alone, key=lambda name: alone[name].gain_margin_db)
@@ -75,14 +69,14 @@ def test_a_requirement_missed_at_one_point_fails_and_names_point_and_frequency()
 
 
 def test_without_the_point_that_misses_it_passes():
-    assert check(POINTS[:2], controller(), wish(gain_margin_db=8.0, phase_margin_deg=20.0)).passed
+    assert ls.check(POINTS[:2], controller(), wish(gain_margin_db=8.0, phase_margin_deg=20.0)).passed
 
 
 @pytest.mark.parametrize("quantity", ["sensitivity_peak_db", "complementary_peak_db", "control_peak_db"])
 def test_a_peak_is_at_most_what_is_wished(quantity):
     found = margins(Loop(POINTS[0], controller(), 1, unstable_poles=0))
     value = getattr(found, quantity)
-    over, under = (check(POINTS[:1], controller(), wish(**{quantity: value + s})) for s in (-0.01, 0.01))
+    over, under = (ls.check(POINTS[:1], controller(), wish(**{quantity: value + s})) for s in (-0.01, 0.01))
     assert (over.passed, under.passed) == (False, True)
     (read,) = over.margins.values()
     low, high = read.intervals[quantity]
@@ -94,7 +88,7 @@ def test_a_peak_is_at_most_what_is_wished(quantity):
 @pytest.mark.parametrize("quantity", ["gain_margin_db", "phase_margin_deg", "modulus_margin", "delay_margin_s"])
 def test_a_margin_is_at_least_what_is_wished(quantity):
     value = getattr(margins(Loop(POINTS[0], controller(), 1, unstable_poles=0)), quantity)
-    over, under = (check(POINTS[:1], controller(), wish(**{quantity: value * s})) for s in (1.01, 0.99))
+    over, under = (ls.check(POINTS[:1], controller(), wish(**{quantity: value * s})) for s in (1.01, 0.99))
     assert (over.passed, under.passed) == (False, True)
 
 
@@ -102,7 +96,7 @@ def test_a_margin_that_no_line_shows_is_as_large_as_l_at_the_first_line():
     first_db = 20.0 * np.log10(abs(margins_loop().L[0]))
     for required, outcome in ((20.0, "passed"), (first_db + 3.0, "undecided")):
         line = line_of(
-            check(POINTS[:1], controller(), wish(gain_reduction_margin_db=required)), "gain_reduction_margin_db"
+            ls.check(POINTS[:1], controller(), wish(gain_reduction_margin_db=required)), "gain_reduction_margin_db"
         )
         assert (line.outcome, line.bound) == (outcome, np.inf)
         assert line.found == pytest.approx(first_db, abs=1e-3)
@@ -115,14 +109,14 @@ def margins_loop():
 def test_bandwidth_met_and_missed():
     crossover = margins(Loop(POINTS[0], controller(), 1, unstable_poles=0)).bandwidth_hz
     assert crossover == pytest.approx(2.7, abs=0.05)
-    met, missed = (check(POINTS[:1], controller(), wish(bandwidth_hz=f)) for f in (2.5, 3.0))
+    met, missed = (ls.check(POINTS[:1], controller(), wish(bandwidth_hz=f)) for f in (2.5, 3.0))
     assert met.passed
     assert not missed.passed
     assert line_of(missed, "bandwidth_hz").spare == pytest.approx(crossover - 3.0, abs=1e-5)  # lines known to 1e-6
 
 
 def test_a_loop_whose_crossover_lies_below_its_lines_has_no_bandwidth_and_does_not_pass():
-    verdict = check([arm("high lines", f=F[F > 7.0])], controller(), wish(bandwidth_hz=1.0))
+    verdict = ls.check([arm("high lines", f=F[F > 7.0])], controller(), wish(bandwidth_hz=1.0))
     assert not verdict.passed
     assert verdict.unstable == ("high lines",)
     line = line_of(verdict, "bandwidth_hz")  # it lies somewhere below the first line
@@ -131,7 +125,7 @@ def test_a_loop_whose_crossover_lies_below_its_lines_has_no_bandwidth_and_does_n
 
 
 def test_an_unstable_loop_fails_whatever_its_margins():
-    verdict = check(POINTS, controller(gain=500.0), wish(modulus_margin=1e-4))
+    verdict = ls.check(POINTS, controller(gain=500.0), wish(modulus_margin=1e-4))
     assert line_of(verdict, "modulus_margin").passed
     assert verdict.unstable == ("calm", "stiff", "strong")
     assert not verdict.passed
@@ -140,7 +134,7 @@ def test_an_unstable_loop_fails_whatever_its_margins():
 
 def test_a_loop_that_cannot_be_decided_does_not_pass():
     noisy = arm("noisy", std=8.0)
-    verdict = check([POINTS[0], noisy], controller(), wish(phase_margin_deg=30.0))
+    verdict = ls.check([POINTS[0], noisy], controller(), wish(phase_margin_deg=30.0))
     assert line_of(verdict, "phase_margin_deg").outcome == "undecided"
     assert line_of(verdict, "phase_margin_deg").interval == (-np.inf, np.inf)  # errors as large as L tell nothing
     assert verdict.unstable == ("noisy",)
@@ -154,7 +148,7 @@ def test_control_at_high_frequency_counts_the_controller_above_the_last_line():
     short = arm("short", f=F[F < 30.0])
     last = np.abs(Loop(short, controller(), 1, unstable_poles=0).L[-1])
     C = np.abs(controller().response(np.geomspace(50.0, 450.0, 2000))) / (1.0 - last)
-    verdict = check([short], controller(), wish(control_high_frequency_db=0.0, control_high_frequency_from_hz=50.0))
+    verdict = ls.check([short], controller(), wish(control_high_frequency_db=0.0, control_high_frequency_from_hz=50.0))
     line = line_of(verdict, "control_high_frequency_db")
     assert line.found == pytest.approx(db(C.max()), abs=0.5)  # above_hz has lines 3 % apart, |C| falls 40 dB a decade
     assert 50.0 <= line.at_hz < 53.0
@@ -165,7 +159,7 @@ def test_gain_margin_is_bounded_by_the_last_line():
     found = margins(Loop(short, controller(), 1, unstable_poles=0))
     L = Loop(short, controller(), 1, unstable_poles=0).L
     assert found.gain_margin_db == pytest.approx(-float(db(L[-1])))
-    verdict = check([short], controller(), wish(gain_margin_db=found.gain_margin_db + 0.1))
+    verdict = ls.check([short], controller(), wish(gain_margin_db=found.gain_margin_db + 0.1))
     assert not verdict.passed
     assert line_of(verdict, "gain_margin_db").at_hz == short.frequency_hz[-1]
 
@@ -174,8 +168,10 @@ def test_requirements_may_narrow_the_band():
     spoilt = POINTS[0].response.copy()
     spoilt[F > 60.0, 0, 0] = -0.8 / controller().response(F[F > 60.0])
     frf = replace(POINTS[0], response=spoilt)
-    clean = check(POINTS[:1], controller(), wish(sensitivity_peak_db=6.0))
-    whole, narrow = (check([frf], controller(), wish(sensitivity_peak_db=6.0, band_hz=b)) for b in (None, (0.5, 50.0)))
+    clean = ls.check(POINTS[:1], controller(), wish(sensitivity_peak_db=6.0))
+    whole, narrow = (
+        ls.check([frf], controller(), wish(sensitivity_peak_db=6.0, band_hz=b)) for b in (None, (0.5, 50.0))
+    )
     assert not whole.passed
     assert line_of(whole, "sensitivity_peak_db").at_hz > 60.0
     assert narrow.passed
@@ -188,7 +184,7 @@ def test_requirements_may_narrow_the_band():
 def test_a_band_that_ends_too_early_does_not_hide_a_peak():
     # |S| peaks at 6.9 Hz with 4.4 dB; cut off at 3.5 Hz, where |L| is l, it may reach 1/(1 - l) for all one knows
     whole, narrow = (
-        check(POINTS[:1], controller(), wish(sensitivity_peak_db=6.0, band_hz=b)) for b in (None, (0.5, 3.5))
+        ls.check(POINTS[:1], controller(), wish(sensitivity_peak_db=6.0, band_hz=b)) for b in (None, (0.5, 3.5))
     )
     lines = POINTS[0].between(0.5, 3.5)
     last = np.abs(Loop(lines, controller(), 1, unstable_poles=0).L[-1])
@@ -255,7 +251,7 @@ def test_where_phase_and_slope_do_not_agree_on_a_whole_number_nothing_is_assumed
         r"the plant's lowest frequencies look like (\S+) integrators by phase and (\S+) by slope", notes[0]
     )
     assert [float(x) for x in said.groups()] == pytest.approx([by_phase, by_slope], abs=0.15)
-    verdict = check([frf], controller(), wish(integrators=None, phase_margin_deg=1.0))
+    verdict = ls.check([frf], controller(), wish(integrators=None, phase_margin_deg=1.0))
     assert not verdict.passed
     assert verdict.margins["seen"].stable == "undecided"
     assert "the number of integrators of the plant is not known" in verdict.margins["seen"].stability_reason
@@ -292,8 +288,10 @@ STABLE = TransferFunction([4.0], [1.0, 0.0])
 
 def test_declared_unstable_poles_count():
     frf = seen(UNSTABLE)
-    gain = Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
-    said, unsaid = (check([frf], gain, wish(integrators=0, unstable_poles=k, phase_margin_deg=1.0)) for k in (1, None))
+    gain = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
+    said, unsaid = (
+        ls.check([frf], gain, wish(integrators=0, unstable_poles=k, phase_margin_deg=1.0)) for k in (1, None)
+    )
     assert said.passed
     assert (unsaid.outcome, unsaid.margins["seen"].stable) == ("undecided", "undecided")
     assert "the number of unstable poles of the plant is not known" in unsaid.margins["seen"].stability_reason
@@ -314,7 +312,7 @@ def test_a_plant_without_integrators_is_not_taken_for_a_double_one():
 
 
 def test_a_wrong_declaration_fails_the_check_instead_of_passing_it():
-    verdict = check(POINTS[:1], controller(), wish(integrators=2, phase_margin_deg=30.0))
+    verdict = ls.check(POINTS[:1], controller(), wish(integrators=2, phase_margin_deg=30.0))
     assert not verdict.passed
     assert verdict.margins["calm"].stable == "undecided"
     assert "does not fit 2 integrators" in verdict.margins["calm"].stability_reason
@@ -336,8 +334,10 @@ def test_a_frf_of_white_noise_can_be_checked_to_its_last_line():
     y = np.convolve(z, [0.0, 0.5, 0.2])[: z.size]
     info = RecordingInfo("white.parquet", "noise", "control", excites="theta2", closed_loop=False)
     setup = LoopSetup("theta2", None, None, "z_v", "y_rad", controller())
-    frf = estimate_frf(Recording(info, RATE, {"z_v": z, "y_rad": y}), setup)
-    check([frf], Controller("theta2", (Block("gain", {"gain": 0.1}),), RATE), wish(integrators=0, phase_margin_deg=1.0))
+    frf = estimate_frf(ls.Recording(info, RATE, {"z_v": z, "y_rad": y}), setup)
+    ls.check(
+        [frf], ls.Controller("theta2", (Block("gain", {"gain": 0.1}),), RATE), wish(integrators=0, phase_margin_deg=1.0)
+    )
 
 
 @pytest.mark.long
@@ -353,39 +353,39 @@ def test_lines_that_start_above_the_corners_are_never_judged_wrongly():
         gain = float(np.abs(np.polyval(den, 2j * TWO_PI)) * 10.0 ** rng.uniform(-1.5, 1.5))
         seen_from = float(rng.choice([1.0, 2.0, 4.0])) * float(corners.min())
         frf = seen(TransferFunction([gain], den), np.geomspace(seen_from, 0.45 * RATE, 800))
-        unit = Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
-        answer = next(iter(check([frf], unit, wish(integrators=k)).margins.values())).stable
+        unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), RATE)
+        answer = next(iter(ls.check([frf], unit, wish(integrators=k)).margins.values())).stable
         truth = "unstable" if np.any(np.roots(np.polyadd(den, [gain])).real > 1e-9) else "stable"
         assert answer in (truth, "undecided")
 
 
 def plant_of(G, f=F):
-    return FRF.from_arrays(f, G, relative_std=1e-4, rate_hz=RATE)
+    return ls.FRF.from_arrays(f, G, relative_std=1e-4, rate_hz=RATE)
 
 
 def test_a_crossing_with_L_near_1_below_it_is_warned_of_and_that_of_an_integrator_is_not():
     """L = 1.1 / (1 + s/(2 pi 30)) crosses 0 dB at 30 sqrt(1.21 - 1) = 13.7 Hz and reduces the error by 20 log10 2.1."""
-    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
-    asked = Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
-    flat = check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked)
+    C = ls.Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = ls.Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
+    flat = ls.check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked)
     (said,) = [w for w in flat.warnings if "crosses 0 dB" in w]
     crosses_hz, reduced_db = (float(x) for x in re.findall(r"at ([0-9.]+) Hz.* by ([0-9.]+) dB", said)[0])
     assert crosses_hz == pytest.approx(30.0 * np.sqrt(0.21), rel=2e-3)
     assert reduced_db == pytest.approx(db(2.1), abs=0.06)
-    rising = check([plant_of(13.7 / (1j * F))], C, replace(asked, integrators=1))
+    rising = ls.check([plant_of(13.7 / (1j * F))], C, replace(asked, integrators=1))
     assert not [w for w in rising.warnings if "crosses 0 dB" in w]
 
 
 def test_a_crossing_is_not_warned_of_where_no_bandwidth_is_required():
-    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
-    asked = Requirements("y", phase_margin_deg=30.0, unstable_poles=0, integrators=0)
-    assert not [w for w in check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked).warnings if "crosses 0 dB" in w]
+    C = ls.Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = ls.Requirements("y", phase_margin_deg=30.0, unstable_poles=0, integrators=0)
+    assert not [w for w in ls.check([plant_of(1.1 / (1.0 + 1j * F / 30.0))], C, asked).warnings if "crosses 0 dB" in w]
 
 
 def test_a_peak_near_the_crossing_does_not_hide_that_the_error_is_hardly_reduced_below():
-    C = Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
-    asked = Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
+    C = ls.Controller("y", (Block("gain", {"gain": 1.0}),), RATE)
+    asked = ls.Requirements("y", bandwidth_hz=10.0, unstable_poles=0, integrators=0)
     peak = 1.0 + 8.0 / (1.0 + 20.0j * (F / 9.0 - 9.0 / F))  # |L| up to 20 dB at 9 Hz, near 1 below 4
-    found = check([plant_of(1.1 * peak / (1.0 + 1j * F / 30.0))], C, asked)
+    found = ls.check([plant_of(1.1 * peak / (1.0 + 1j * F / 30.0))], C, asked)
     assert db(1.0 + np.abs(1.1 * peak / (1.0 + 1j * F / 30.0)).max()) > 18.0
     assert any("crosses 0 dB" in w for w in found.warnings)

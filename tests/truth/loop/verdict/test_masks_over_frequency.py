@@ -7,19 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LIMIT_OF, Block
+from conversions import angular, db
 from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, RATE, frf, servos, wished
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import angular, db
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.limits_over import AtPoints, Mask
-from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.loop.verdict import check
 
 F = np.geomspace(0.05, 100.0, 800)
 GAIN_OF = 3.0
-PI_LOOP = Controller("one", (Block("gain", {"gain": GAIN_OF}),), RATE)
+PI_LOOP = ls.Controller("one", (Block("gain", {"gain": GAIN_OF}),), RATE)
 P = 2.0 * np.exp(-1j * angular(F) * DELAY_S) / (1j * angular(F))
 L = GAIN_OF * P
 SIZES = {
@@ -29,7 +26,7 @@ POINTS = ((0.1, -30.0), (2.0, -3.0), (9.0, 4.0))
 
 
 def required(**more):
-    return Requirements.from_table({"name": "one", "integrators": 1, "unstable_poles": 0} | more)
+    return ls.Requirements.from_table({"name": "one", "integrators": 1, "unstable_poles": 0} | more)
 
 
 def checked(frfs, requirements, controller=PI_LOOP):
@@ -43,7 +40,7 @@ def test_a_mask_is_exceeded_by_what_its_definition_says(response, noise):
     level = np.interp(np.log(F[inside]), np.log([x for x, _ in POINTS]), [y for _, y in POINTS])
     over = db(np.abs(SIZES[response][inside])) - level
     (line,) = checked([frf(DELAYED, std=noise)], required(masks=[{"response": response, "points": POINTS}])).lines
-    assert line.quantity == Mask(response, POINTS).quantity
+    assert line.quantity == ls.Mask(response, POINTS).quantity
     if noise:
         low, high = line.interval
         assert low - 0.1 < over.max() < high + 0.1
@@ -109,7 +106,7 @@ def at_loads():
 
 def test_a_limit_that_depends_on_the_operating_point_is_judged_there_alone():
     asked = wished(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [1.2, 2.0]}, "phase_margin_deg": 45.0}])
-    frfs, low = at_loads(), Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
+    frfs, low = at_loads(), ls.Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
     found = check(frfs, low, asked, detuned=False)
     (line,) = found.lines
     slack = {name: m.phase_margin_deg - (45.0 if name == "load 1.5" else 30.0) for name, m in found.margins.items()}
@@ -153,7 +150,7 @@ def test_a_shift_of_the_plant_must_keep_the_mask_too():
     ],
 )
 def test_a_mask_without_meaning_is_refused(table, words):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         required(masks=[table])
 
 
@@ -170,7 +167,7 @@ def test_a_mask_without_meaning_is_refused(table, words):
     ],
 )
 def test_limits_at_operating_points_without_meaning_are_refused(more, words):
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         required(**more)
 
 
@@ -190,8 +187,8 @@ phase_margin_deg = 30.0
 """
     )
     (read,) = ls.read_requirements(path)
-    assert read.masks == (Mask("S", ((0.1, -30.0), (2.0, -3.0))),)
-    assert read.at == (AtPoints({"load": (1.2, 2.0), "x_m": (0.5, 0.5)}, {"phase_margin_deg": 30.0}),)
+    assert read.masks == (ls.Mask("S", ((0.1, -30.0), (2.0, -3.0))),)
+    assert read.at == (ls.AtPoints({"load": (1.2, 2.0), "x_m": (0.5, 0.5)}, {"phase_margin_deg": 30.0}),)
     assert read.of({"load": 1.5, "x_m": 0.5}).phase_margin_deg == 30.0
     assert read.of({"load": 1.5}).phase_margin_deg == 40.0
     assert read.limited() == ("phase_margin_deg", "sensitivity_mask_db")

@@ -5,12 +5,10 @@ import re
 import control
 import numpy as np
 import pytest
+from bench_nouns import Block, LoopMatrix
+from conversions import TWO_PI
 
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import LoopMatrix
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.loop.matrix.several_margins import several_margins
 from loopshape.loop.verdict import check
 
@@ -18,7 +16,7 @@ RATE = 20_000.0
 
 
 def controller(*blocks, rate_hz=RATE):
-    return Controller("x", tuple(Block(kind, values) for kind, values in blocks), rate_hz)
+    return ls.Controller("x", tuple(Block(kind, values) for kind, values in blocks), rate_hz)
 
 
 def measured(P, f, relative=1e-6, seed=1):
@@ -28,7 +26,7 @@ def measured(P, f, relative=1e-6, seed=1):
     error = (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)) / np.sqrt(2.0)
     G = (exact * (1.0 + relative * error))[:, None, None]
     variance = (relative * np.abs(exact)) ** 2
-    return FRF(f, G, variance[:, None, None] + 0j, np.ones(f.size, bool), ("u",), ("y",), "known", "one", "x", RATE)
+    return ls.FRF(f, G, variance[:, None, None] + 0j, np.ones(f.size, bool), ("u",), ("y",), "known", "one", "x", RATE)
 
 
 def line_of(verdict, quantity):
@@ -48,7 +46,7 @@ def levitated(f):
 def test_a_gain_reduction_margin_whose_crossing_lies_at_0_hz_is_seen(relative):
     truth_db = 20.0 * np.log10(2.2)  # |L(0)|: the plant is -1 there, the lead 1
     frf = measured(levitated, np.geomspace(0.5, 200.0, 400), relative)
-    wish = Requirements("x", gain_reduction_margin_db=10.0, integrators=0, unstable_poles=1)
+    wish = ls.Requirements("x", gain_reduction_margin_db=10.0, integrators=0, unstable_poles=1)
     verdict = check([frf], LEAD, wish)
     found = line_of(verdict, "gain_reduction_margin_db")
     assert found.found == pytest.approx(truth_db, abs=0.1)
@@ -68,14 +66,16 @@ def growing(f):
 
 def test_a_growing_mode_that_nobody_declared_does_not_pass():
     frf = measured(growing, np.geomspace(0.3, 100.0, 300), 0.01)
-    frf = FRF(frf.frequency_hz, frf.response, frf.covariance, frf.trusted, ("u",), ("y",), "known", "one", "x", 1000.0)
-    wish = Requirements("x", phase_margin_deg=45.0)
+    frf = ls.FRF(
+        frf.frequency_hz, frf.response, frf.covariance, frf.trusted, ("u",), ("y",), "known", "one", "x", 1000.0
+    )
+    wish = ls.Requirements("x", phase_margin_deg=45.0)
     margins = check([frf], LOW_PASS, wish).margins["one"]
     assert margins.stable == "undecided"
     assert "unstable poles of the plant is not known" in margins.stability_reason
     (at_hz,) = re.findall(r"the phase rises by 180 deg through the resonance at (\S+) Hz", margins.stability_reason)
     assert float(at_hz) == pytest.approx(5.0, abs=0.05)
-    declared = check([frf], LOW_PASS, Requirements("x", phase_margin_deg=45.0, integrators=0, unstable_poles=2))
+    declared = check([frf], LOW_PASS, ls.Requirements("x", phase_margin_deg=45.0, integrators=0, unstable_poles=2))
     assert declared.margins["one"].stable == "unstable"
 
 
@@ -98,7 +98,7 @@ GAIN = controller(("gain", {"gain": 40.0}))
 def test_a_gain_margin_beyond_the_last_line_is_a_bound_and_not_an_estimate():
     truth_db, _ = true_margins(falling, GAIN, np.geomspace(0.1, 400.0, 200_000))
     frf = measured(falling, np.geomspace(0.2, 28.0, 300), 1e-3)
-    wish = Requirements("x", gain_margin_db=truth_db - 1.0, integrators=1, unstable_poles=0)
+    wish = ls.Requirements("x", gain_margin_db=truth_db - 1.0, integrators=1, unstable_poles=0)
     found = line_of(check([frf], GAIN, wish), "gain_margin_db")
     assert found.outcome == "undecided"
     assert found.found < truth_db < found.bound
@@ -111,11 +111,11 @@ def test_a_peak_of_s_that_only_the_unseen_rest_could_reach_is_a_bound():
     f = np.geomspace(0.2, 12.0, 300)
     _, truth_db = true_margins(falling, GAIN, np.geomspace(0.1, 400.0, 200_000))
     frf = measured(falling, f, 1e-3)
-    wish = Requirements("x", sensitivity_peak_db=truth_db + 0.5, integrators=1, unstable_poles=0)
+    wish = ls.Requirements("x", sensitivity_peak_db=truth_db + 0.5, integrators=1, unstable_poles=0)
     found = line_of(check([frf], GAIN, wish), "sensitivity_peak_db")
     assert found.outcome == "undecided"
     assert found.bound < truth_db < found.found
-    strict = Requirements("x", sensitivity_peak_db=0.01, integrators=1, unstable_poles=0)
+    strict = ls.Requirements("x", sensitivity_peak_db=0.01, integrators=1, unstable_poles=0)
     assert line_of(check([frf], GAIN, strict), "sensitivity_peak_db").outcome == "failed"
 
 
@@ -126,7 +126,7 @@ def lag(f):
 def test_a_stable_lag_below_1_everywhere_is_stable():
     unit = controller(("gain", {"gain": 1.0}))
     frf = measured(lag, np.geomspace(0.2, 60.0, 300), 0.01)
-    margins = check([frf], unit, Requirements("x", integrators=0, unstable_poles=0)).margins["one"]
+    margins = check([frf], unit, ls.Requirements("x", integrators=0, unstable_poles=0)).margins["one"]
     assert margins.stable == "stable"
 
 
@@ -148,13 +148,13 @@ def closed_loop_unstable(gain):
 def test_a_zero_at_0_hz_can_be_declared(gain):
     frf = measured(coupled_by_ac, np.geomspace(0.5, 800.0, 1200), 1e-3)
     own = controller(("gain", {"gain": gain}))
-    margins = check([frf], own, Requirements("x", integrators=-1, unstable_poles=0)).margins["one"]
+    margins = check([frf], own, ls.Requirements("x", integrators=-1, unstable_poles=0)).margins["one"]
     assert margins.stable == ("unstable" if closed_loop_unstable(gain) else "stable")
 
 
 def test_a_bearing_measured_from_above_half_its_corner_is_decided():
     frf = measured(levitated, np.geomspace(5.0, 200.0, 400), 1e-3)
-    verdict = check([frf], LEAD, Requirements("x", gain_reduction_margin_db=10.0, integrators=0, unstable_poles=1))
+    verdict = check([frf], LEAD, ls.Requirements("x", gain_reduction_margin_db=10.0, integrators=0, unstable_poles=1))
     assert verdict.margins["one"].stable == "stable"
     low, high = line_of(verdict, "gain_reduction_margin_db").interval
     assert low <= 20.0 * np.log10(2.2) <= high
@@ -167,7 +167,7 @@ def test_a_triple_integrator_declared_as_such_is_decided():
 
     f = np.geomspace(0.3, 400.0, 600)
     own = controller(("gain", {"gain": 1.0}))
-    wish = Requirements("x", integrators=3, unstable_poles=0)
+    wish = ls.Requirements("x", integrators=3, unstable_poles=0)
     margins = check([measured(triple, f, 1e-3)], own, wish).margins["one"]
     lead, lag = np.array([1.0 / (TWO_PI * 0.5), 1.0]), np.array([1.0 / (TWO_PI * 80.0), 1.0])
     den = np.polymul(np.polymul(lag, lag), [1.0, 0.0, 0.0, 0.0])
@@ -221,7 +221,7 @@ def exact(P, f, f_hz):
 @pytest.mark.parametrize("name", NARROW)
 def test_intervals_know_the_gap_between_two_lines(name):
     P, f, f_hz = NARROW[name]
-    unit, wish = controller(("gain", {"gain": 1.0})), Requirements("x", integrators=1, unstable_poles=0)
+    unit, wish = controller(("gain", {"gain": 1.0})), ls.Requirements("x", integrators=1, unstable_poles=0)
     truth = exact(P, f, f_hz)
     found = [check([measured(P, f, 0.01, seed)], unit, wish, detuned=False).margins["one"] for seed in range(16)]
     inside = {q: np.mean([m.intervals[q][0] <= x <= m.intervals[q][1] for m in found]) for q, x in truth.items()}
@@ -254,7 +254,7 @@ def test_three_loops_with_narrow_modes_are_read_between_the_lines():
     dense = np.unique(np.concatenate([f, *(np.linspace(0.96, 1.04, 4000) * f_hz for f_hz, _, _ in MODES)]))
     truth_db = -20.0 * np.log10(smallest(dense).min())
     assert -20.0 * np.log10(smallest(f).min()) < truth_db - 0.3  # the lines alone do not show it
-    controllers = tuple(Controller(name, (Block("gain", {"gain": 1.0}),), RATE) for name in "abc")
+    controllers = tuple(ls.Controller(name, (Block("gain", {"gain": 1.0}),), RATE) for name in "abc")
     exact_P = flexible(f)
     for seed in range(3):
         rng = np.random.default_rng(seed)
@@ -265,7 +265,7 @@ def test_three_loops_with_narrow_modes_are_read_between_the_lines():
         names = ("u1_V", "u2_V", "u3_V"), ("y1_m", "y2_m", "y3_m")
         known = np.ones(f.size, dtype=bool)
         G = exact_P + std[:, None, None] * error
-        frf = FRF(f, G, covariance, known, *names, "known", "one", "a+b+c", RATE)
+        frf = ls.FRF(f, G, covariance, known, *names, "known", "one", "a+b+c", RATE)
         found = several_margins(LoopMatrix(frf, controllers, tuple("abc"), 3, 0))
         low, high = found.intervals["sensitivity_peak_db"]
         assert low - 0.02 <= truth_db <= high + 0.02

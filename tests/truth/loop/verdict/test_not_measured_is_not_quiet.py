@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import LoopMatrix
+from conversions import TWO_PI, db
 
 import loopshape as ls
-from loopshape.core.units import TWO_PI, db
-from loopshape.data.control.loop import LoopMatrix
-from loopshape.data.requirement.requirements import Requirements
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.several_margins import FIELDS, several_margins
 from loopshape.loop.verdict import loops_of
@@ -210,7 +209,7 @@ def test_one_loop_and_the_same_as_a_matrix_have_the_same_interval():
     G = 30.0 / s / (1.0 + s / 60.0) * np.exp(-0.004 * s) * (1.0 + 0.02 * (n[0] + 1j * n[1]) / 2**0.5)
     P = ls.FRF.from_arrays(f, G, relative_std=0.02, rate_hz=1000.0)
     C = ls.controller(ls.gain(1.0), rate_hz=1000.0)
-    (loop,), _ = loops_of([P], C, Requirements(P.loop, integrators=1, unstable_poles=0))
+    (loop,), _ = loops_of([P], C, ls.Requirements(P.loop, integrators=1, unstable_poles=0))
     one, matrix = margins(loop), several_margins(LoopMatrix(P, (C,), (P.loop,), 1, unstable_poles=0))
     shared = [name for name in FIELDS if name in one.intervals]
     assert len(shared) >= 4

@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_nouns import Block
 from drawn_loops import LINES, PLANTS, RATE, by_roots, errors, limit_gain
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.loop.verdict import check
 
 PLANT = PLANTS["one integrator"]
-DECLARED = Requirements("axis", integrators=1, unstable_poles=0)
+DECLARED = ls.Requirements("axis", integrators=1, unstable_poles=0)
 LIMIT = limit_gain(PLANT)
 
 
@@ -21,11 +19,11 @@ def frf_of(f, relative, seed=None):
     P = PLANT.response(f)
     if seed is not None:
         P = P * (1.0 + relative * errors(np.random.default_rng(seed), f.size))
-    return FRF.from_arrays(f, P, std=relative * np.abs(P), rate_hz=RATE, loop="axis", recording="one two")
+    return ls.FRF.from_arrays(f, P, std=relative * np.abs(P), rate_hz=RATE, loop="axis", recording="one two")
 
 
 def answered(frf, gain=1.0, asked=DECLARED):
-    return check([frf], Controller("axis", (Block("gain", {"gain": gain}),), RATE), asked, detuned=False)
+    return check([frf], ls.Controller("axis", (Block("gain", {"gain": gain}),), RATE), asked, detuned=False)
 
 
 def the_order(verdict):
@@ -68,13 +66,13 @@ def test_the_ordered_band_renews_the_old_lines_and_decides():
     within = (made.frequency_hz > 3.99) & (made.frequency_hz < 9.01)
     np.testing.assert_array_equal(made.siso[within], newer.siso)
     other = replace(newer, operating_point={"x": 1.0})
-    with pytest.raises(WrongUseError, match="operating_point"):
+    with pytest.raises(ls.errors.WrongUseError, match="operating_point"):
         old.renewed(other)
 
 
 def test_a_measurement_of_the_whole_band_takes_the_place_of_the_old_one():
     f = np.geomspace(1.0, 10.0, 9)
-    old, newer = (FRF.from_arrays(f, 1.0 / (1j * f), std=std) for std in (0.1, 0.01))
+    old, newer = (ls.FRF.from_arrays(f, 1.0 / (1j * f), std=std) for std in (0.1, 0.01))
     made = old.renewed(newer)
     np.testing.assert_array_equal(made.frequency_hz, f)
     np.testing.assert_array_equal(made.relative_std, newer.relative_std)
@@ -100,14 +98,14 @@ def test_known_averages_are_what_was_spent():
 
 
 def test_a_declaration_is_no_measurement():
-    order = the_order(answered(frf_of(LINES, 1e-3), asked=Requirements("axis", integrators=1)))
+    order = the_order(answered(frf_of(LINES, 1e-3), asked=ls.Requirements("axis", integrators=1)))
     assert order.by == "declaration"
     assert order.command is None
     assert order.seconds is None
 
 
 def test_a_band_that_is_not_to_be_used_is_not_ordered():
-    asked = Requirements("axis", integrators=1, unstable_poles=0, band_hz=(0.1, 2.0))
+    asked = ls.Requirements("axis", integrators=1, unstable_poles=0, band_hz=(0.1, 2.0))
     order = the_order(answered(frf_of(LINES, 1e-3), asked=asked))
     assert order.by == "declaration"
 
@@ -158,6 +156,6 @@ def test_measured_as_ordered_it_is_decided(share, relative):
             P = np.append(frf.siso[old], PLANT.response(new) * (1.0 + std * errors(rng, new.size)))
             every = np.append(frf.relative_std[old, 0, 0], std)
             f, at = np.unique(f, return_index=True)
-            frf = FRF.from_arrays(f, P[at], std=(every * np.abs(P))[at], rate_hz=RATE, loop="axis", recording="one")
+            frf = ls.FRF.from_arrays(f, P[at], std=(every * np.abs(P))[at], rate_hz=RATE, loop="axis", recording="one")
         verdict = answered(frf, gain)
     assert verdict.outcome == ("passed" if share < 1.0 else "failed")

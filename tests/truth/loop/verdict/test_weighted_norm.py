@@ -12,21 +12,16 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
+from bench_nouns import Block, TransferFunction
+from commands import invoked
+from conversions import TWO_PI
+from run_files import write_frfs
 from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, servos, wished
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.main import app
-from loopshape.core.errors import WrongUseError
-from loopshape.core.units import TWO_PI
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.objective import Objective
-from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.model import TransferFunction
 from loopshape.design.problem.shifts import judged
 from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.settle import settle
-from loopshape.io.write.frfs import write_frfs
 from loopshape.loop.verdict import check, loops_of
 
 B, A, C3 = 20.0, 8.0, 0.05  # P = B/s, W1 = A/s, W3 = C3
@@ -49,9 +44,9 @@ def norm_of(plant, C, weights):
 
 
 def only_weights(structure, weights=TWO, **more):
-    return Requirements(
+    return ls.Requirements(
         "one", integrators=1, unstable_poles=0, structure=tuple(structure), weights=weights,
-        objective=Objective(0.0, weighted_norm=1.0), **more,
+        objective=ls.Objective(0.0, weighted_norm=1.0), **more,
     )  # fmt: skip
 
 
@@ -95,8 +90,8 @@ def test_each_weight_is_on_its_own_response(responses):
     # largest about the peak of |S|, where |S|, |T| and |L| differ
     weights = tuple(ls.Weight(name, lambda f_hz: np.exp(-3.0 * np.log(f_hz / 3.0) ** 2)) for name in responses)
     (plant,) = (one for one in servos(0.0, 1500) if one.recording == "load 1.5")
-    C = Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
-    asked = Requirements("one", integrators=1, unstable_poles=0, weights=weights)
+    C = ls.Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
+    asked = ls.Requirements("one", integrators=1, unstable_poles=0, weights=weights)
     (found,) = check([plant], C, asked, detuned=False).margins.values()
     assert found.weighted_norm == pytest.approx(norm_of(plant, C, weights), rel=1e-4)
     assert 2.0 < found.at_hz["weighted_norm"] < 4.5
@@ -105,7 +100,7 @@ def test_each_weight_is_on_its_own_response(responses):
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_the_interval_holds_the_norm_of_the_plants_without_noise(noise):
     weights = tuple(map(ls.Weight.from_table, FOUR))
-    C = Controller("one", (Block("gain", {"gain": 0.2}), Block("lead_lag", {"f1_hz": 12.0, "f2_hz": 200.0})), RATE)
+    C = ls.Controller("one", (Block("gain", {"gain": 0.2}), Block("lead_lag", {"f1_hz": 12.0, "f2_hz": 200.0})), RATE)
     asked = wished(weighted_norm=2.0, weights=FOUR)
     found = check(servos(noise), C, asked, detuned=False).margins
     for plant, margins in zip(servos(0.0, 4000), found.values(), strict=True):
@@ -171,18 +166,18 @@ def test_what_is_no_weight_is_refused():
         ("L", 1.0, "S, T, CS or PS"), ("S", "30", "a number, points"), ("S", ((1.0, 2.0),), "two pairs"),
         ("S", ls.gain((1.0, 2.0)), "free parameters"), ("S", None, "a number, points"),
     ):  # fmt: skip
-        with pytest.raises(WrongUseError, match=word):
+        with pytest.raises(ls.errors.WrongUseError, match=word):
             ls.Weight(response, size)
-    with pytest.raises(WrongUseError, match="one finite number at each frequency"):
+    with pytest.raises(ls.errors.WrongUseError, match="one finite number at each frequency"):
         ls.Weight("S", lambda f_hz: 1.0 / (f_hz - 1.0)).at([0.5, 1.0])
-    with pytest.raises(WrongUseError, match="one finite number"):
+    with pytest.raises(ls.errors.WrongUseError, match="one finite number"):
         ls.Weight("S", lambda f_hz: 1.0).at([0.5, 1.0])
-    with pytest.raises(WrongUseError, match="needs weights"):
+    with pytest.raises(ls.errors.WrongUseError, match="needs weights"):
         ls.Requirements(weighted_norm=1.0)
-    with pytest.raises(WrongUseError, match="points or blocks"):
-        Requirements.from_table({"name": "a", "weights": [{"response": "S"}]})
-    with pytest.raises(WrongUseError, match="needs weights"):
-        Requirements.from_table({"name": "a", "objective": "weighted_norm"})
+    with pytest.raises(ls.errors.WrongUseError, match="points or blocks"):
+        ls.Requirements.from_table({"name": "a", "weights": [{"response": "S"}]})
+    with pytest.raises(ls.errors.WrongUseError, match="needs weights"):
+        ls.Requirements.from_table({"name": "a", "objective": "weighted_norm"})
 
 
 def test_the_page_of_weights_runs(capsys):
@@ -192,7 +187,7 @@ def test_the_page_of_weights_runs(capsys):
     assert left["C"].feasible
     assert "weighted_norm" in capsys.readouterr().out
     (table,) = re.findall(r"```toml\n(.*?)```", page, flags=re.S)
-    assert Requirements.from_table(tomllib.loads(table)["loop"][0]).objective == Objective(0.0, weighted_norm=1.0)
+    assert ls.Requirements.from_table(tomllib.loads(table)["loop"][0]).objective == ls.Objective(0.0, weighted_norm=1.0)
 
 
 def test_the_command_tunes_to_the_norm_of_a_file(tmp_path):
@@ -222,14 +217,14 @@ structure = [{ kind = "gain", gain = { min = 0.01, max = 100.0 } }, { kind = "le
         "--starts",
         "2",
     ]
-    done = CliRunner().invoke(app, [*asked, "--json"])
+    done = invoked([*asked, "--json"])
     (loop,) = json.loads(done.stdout)["loops"]
     weights = (ls.Weight("S", ((0.5, 30.0), (20.0, -6.0))), ls.Weight("CS", 0.05))
     (C,) = ls.read_controllers(tmp_path / "c.toml")
     truth = max(norm_of(one, C, weights) for one in servos(0.0, 3000))
     low, high = loop["weighted_norm_interval"]
     assert 0.998 * low <= truth <= 1.002 * high
-    assert "weighted norm" in CliRunner().invoke(app, asked).stdout
+    assert "weighted norm" in invoked(asked).stdout
 
 
 def test_where_no_limit_binds_and_stability_is_undecided_the_search_goes_on_at_all_points():

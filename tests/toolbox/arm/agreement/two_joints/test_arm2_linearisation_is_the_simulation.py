@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, experiment, numbers, open_loop
+from bench_nouns import Multisine
 
-from loopshape.data.signal.excitation import Multisine
-from loopshape.data.signal.run import Run
+import loopshape as ls
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.toolbox.arm.dynamics.equilibrium2 import rest2
 from loopshape.toolbox.arm.dynamics.linear2 import linearise2
@@ -59,7 +59,7 @@ def measured():
         asked.append(experiment(MIDDLE, signal.size, injection="plant_input", injected=injected, **fields))
     recordings = ARM.simulate(asked)
     assert all(r.info.ended_early is None for r in recordings)
-    return estimate_matrix(Run(1000.0, asked[0].loops, tuple(recordings), ARM.name), recordings)
+    return estimate_matrix(ls.Run(1000.0, asked[0].loops, tuple(recordings), ARM.name), recordings)
 
 
 def test_the_measured_matrix_is_the_linearised_one(measured):

@@ -8,10 +8,9 @@ import pytest
 from arm2_cases import ARM, MIDDLE, QUIET, numbers
 from arm2_cases import point as dual_point
 from arm2_closed import close2
+from bench_nouns import Block, Experiment
 
-from loopshape.core.errors import WrongUseError
-from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.experiment import Experiment
+import loopshape as ls
 from loopshape.toolbox.arm.arm2 import Arm2
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pair_pressures2, pair_rest2, pressures2
 from loopshape.toolbox.arm.dynamics.linear2 import (
@@ -141,13 +140,13 @@ def test_the_closed_linear_loop_answers_as_its_frequency_response_says(delay_sam
 
 
 def test_a_closed_linear_loop_of_too_few_controllers():
-    with pytest.raises(WrongUseError, match=r"four controllers of one rate.*received 3 of 1000 Hz"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"four controllers of one rate.*received 3 of 1000 Hz"):
         close2(linearise_pairs2(numbers(), *CENTRE), PAIR_ARM.default_controllers(1000.0)[:3])
 
 
 @pytest.mark.parametrize("wrong", [{}, dual_point(MIDDLE), point(CENTRE) | {"p_a_bar": 0.4}])
 def test_operating_point_with_other_names(wrong):
-    with pytest.raises(WrongUseError, match="names theta1_deg, theta2_deg, p_ab_bar and p_cd_bar; received"):
+    with pytest.raises(ls.errors.WrongUseError, match="names theta1_deg, theta2_deg, p_ab_bar and p_cd_bar; received"):
         PAIR_ARM.check_operating_point(wrong)
 
 
@@ -163,17 +162,17 @@ def test_operating_point_with_other_names(wrong):
     ],
 )
 def test_operating_point_out_of_the_model_s_range(values):
-    with pytest.raises(WrongUseError, match=r"cannot stand there.*asks for p_A.*choose a point inside"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"cannot stand there.*asks for p_A.*choose a point inside"):
         PAIR_ARM.check_operating_point(point(values))
 
 
 def test_start_without_an_equilibrium():
     assert np.isnan(pair_pressures2(numbers(), 0.0, 0.0, 0.03, 0.8)[0])
     e = asked(PAIR_ARM, point((0.0, 0.0, 0.03, 0.8)), 10, setpoint=point(CENTRE))
-    with pytest.raises(WrongUseError, match=r"no equilibrium there; received theta1 0 deg.*p_AB 0\.03 bar"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"no equilibrium there; received theta1 0 deg.*p_AB 0\.03 bar"):
         PAIR_ARM.simulate([e])
 
 
 def test_controllers_that_do_not_match_the_loops():
-    with pytest.raises(WrongUseError, match="for each of its loops theta1, theta2, p_ab and p_cd"):
-        PAIR_ARM.loop_setups([Controller("p_a", (Block("gain", {"gain": 1.0}),), 1000.0)], "reference")
+    with pytest.raises(ls.errors.WrongUseError, match="for each of its loops theta1, theta2, p_ab and p_cd"):
+        PAIR_ARM.loop_setups([ls.Controller("p_a", (Block("gain", {"gain": 1.0}),), 1000.0)], "reference")

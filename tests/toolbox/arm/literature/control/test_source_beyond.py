@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loopshape.io.write.controllers import read_controllers
+import loopshape as ls
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.toolbox.arm.source import number, value
@@ -42,7 +42,7 @@ def tracked(modules):
     settings = SETTINGS["feedforward"]
     way = feedforward.path(settings, settings["limits"][0])
     fitted = at_supply(1.0, (0.0, settings["p_ab_bar"])).third_order()
-    controllers = read_controllers(ROOT / "examples" / "arm" / "controller.toml")
+    controllers = ls.read_controllers(ROOT / "examples" / "arm" / "controller.toml")
     kinds = feedforward.feeds(way, fitted, settings)
     names = ("none", "third order, one point", "inverted model")
     return {n: feedforward.tracked(way, kinds[n], controllers, settings, SETTINGS["seed"])[0] for n in names}

@@ -13,7 +13,7 @@ from source_controllers import (
     third_order_plant,
 )
 
-from loopshape.core.errors import WrongUseError
+import loopshape as ls
 from loopshape.toolbox.arm.source import numbers, value
 
 STUDIES = Path(__file__).parents[5] / "experiments"
@@ -53,9 +53,9 @@ def test_variants_of_the_angle_controller_change_one_number_only():
 
 
 def test_places_without_a_controller_or_a_fit_are_refused():
-    with pytest.raises(WrongUseError, match="prints no controller"):
+    with pytest.raises(ls.errors.WrongUseError, match="prints no controller"):
         controller("table_5_3")
-    with pytest.raises(WrongUseError, match="no third-order fit"):
+    with pytest.raises(ls.errors.WrongUseError, match="no third-order fit"):
         third_order_plant("figure_4_13")
 
 

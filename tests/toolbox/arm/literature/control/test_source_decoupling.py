@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conversions import db
+from simulated_machines import read_study
 
-from loopshape.core.units import db
 from loopshape.toolbox.arm.dynamics.equilibrium import pressures
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.toolbox.arm.source import EQUILIBRIA, value
-from loopshape.toolbox.rig.files.study import read_study
 
 FOLDER = Path(__file__).parents[5] / "experiments" / "decoupling"
 LIMIT_DB = value("figure_h_7.interaction")

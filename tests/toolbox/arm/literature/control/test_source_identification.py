@@ -6,14 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Settings
+from conversions import db
+from simulated_machines import read_study
 from source_controllers import third_order_plant
 
-from loopshape.core.units import db
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.settings import Settings
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.source import EQUILIBRIA, number, value
-from loopshape.toolbox.rig.files.study import read_study
 
 STUDY = Path(__file__).parents[5] / "experiments" / "arm1_identification"
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bench_nouns import Experiment
 
-from loopshape.data.signal.experiment import Experiment
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.source import value
 

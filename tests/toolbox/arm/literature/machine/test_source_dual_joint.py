@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from arm2_closed import close2
+from bench_nouns import Block
 from source_controllers import controller
 
-from loopshape.data.control.controller import Block, Controller
+import loopshape as ls
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
 from loopshape.toolbox.arm.dynamics.linear2 import linearise2, linearise_pairs2
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
@@ -19,13 +20,13 @@ DELAY = 3  # samples, the PWM's
 
 def own():
     """The plant's own four controllers."""
-    return [Controller(loop, blocks, 1000.0) for loop, blocks in DUAL.controllers.items()]
+    return [ls.Controller(loop, blocks, 1000.0) for loop, blocks in DUAL.controllers.items()]
 
 
 def with_gain(controllers, gain):
     """The four with another gain of p_A's loop."""
     held = (Block("gain", {"gain": gain}), Block("low_pass_1", {"f_hz": value("table_5_6.lowpass")}))
-    return [*controllers[:2], Controller("p_a", held, 1000.0), controllers[3]]
+    return [*controllers[:2], ls.Controller("p_a", held, 1000.0), controllers[3]]
 
 
 def overshoot(lin, controllers):

@@ -5,7 +5,7 @@ import pytest
 from arm2_closed import close2
 from source_controllers import controller
 
-from loopshape.data.control.controller import Controller
+import loopshape as ls
 from loopshape.toolbox.arm.dynamics.linear2 import linearise_pairs2
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
 from loopshape.toolbox.arm.source import value
@@ -19,7 +19,7 @@ DELAY = 3  # samples, the PWM's
 
 def least_damping(point, of):
     """Of the linear loop below 5 Hz, theta1 under this controller and the rest under the plant's own."""
-    own = [Controller(loop, blocks, 1000.0) for loop, blocks in PAIRS.controllers.items()]
+    own = [ls.Controller(loop, blocks, 1000.0) for loop, blocks in PAIRS.controllers.items()]
     return min(zeta for f, zeta in close2(linearise_pairs2(NUMBERS, *point), [of, *own[1:]], DELAY).modes() if f < 5.0)
 
 
@@ -30,7 +30,7 @@ def test_table_h_1_does_not_hold_the_model_s_joint_1(point):
 
 @pytest.mark.parametrize("point", POINTS)
 def test_the_plant_s_own_controller_of_the_same_structure_does(point):
-    own = Controller("theta1", PAIRS.controllers["theta1"], 1000.0)
+    own = ls.Controller("theta1", PAIRS.controllers["theta1"], 1000.0)
     assert [b.kind for b in own.blocks] == [b.kind for b in controller("table_h_1").blocks]
     assert least_damping(point, own) > 0.05
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_machines import read_study
 
 from loopshape.toolbox.arm.dynamics.model import muscle
 from loopshape.toolbox.arm.parameters import TWO_L
 from loopshape.toolbox.arm.source import value
-from loopshape.toolbox.rig.files.study import read_study
 
 STUDY = Path(__file__).parents[5] / "experiments" / "open_loop_validation" / "study.toml"
 STEPS = round(1e3 * value("open_loop.duration"))

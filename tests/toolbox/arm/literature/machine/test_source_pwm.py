@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_machines import read_study
 
 from loopshape.toolbox.arm import parameters as k
 from loopshape.toolbox.arm.dynamics import pwm
 from loopshape.toolbox.arm.dynamics.model import flow, supply_flows
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS
 from loopshape.toolbox.arm.source import value
-from loopshape.toolbox.rig.files.study import read_study
 
 sys.path.insert(0, str(Path(__file__).parents[5] / "experiments" / "pneumatic_test_setup"))
 sys.path.insert(0, str(Path(__file__).parents[5] / "experiments" / "pwm"))

@@ -11,10 +11,11 @@ from functools import cache
 import numpy as np
 import pytest
 
+import loopshape as ls
 from loopshape.io.files import write_beside
 from loopshape.toolbox.gap.mechanism.fix import in_files
 from loopshape.toolbox.gap.nouns.effect import Unsaid, fix_of
-from loopshape.toolbox.gap.nouns.machine import Input, Kind, Mechanism, Model, ModelParameter, Output, Port
+from loopshape.toolbox.gap.nouns.machine import Kind, Mechanism
 from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms
 from loopshape.toolbox.gap.own.composed import Composed
 from loopshape.toolbox.gap.own.kinds import with_kinds
@@ -260,7 +261,10 @@ def cogging(q, v, n):
 
 
 def test_a_kind_of_the_users_own_is_left_with_its_numbers():
-    numbers = (ModelParameter("torque", 0.0, "N m", range=(-0.2, 0.2)), ModelParameter("poles", 8.0, "1/rad"))
+    numbers = (
+        ls.gap.ModelParameter("torque", 0.0, "N m", range=(-0.2, 0.2)),
+        ls.gap.ModelParameter("poles", 8.0, "1/rad"),
+    )
     m = replace(mechanism(), kinds=(Kind("cogging", "bearing", cogging, numbers),))
     model = machine_of(m)
     fixed = in_files(moved(model, {"change.cogging_torque": 0.07, "mass_lever": 1.02}), model, m)
@@ -335,14 +339,15 @@ def motion(t, x, u, p):
     return x[1], (u[0] - p.damping * x[1] - p.spring * x[0] - 0.3 * np.sin(x[0])) / (p.rotor + p.inertia)
 
 
-WINCH = Model(
+WINCH = ls.gap.Model(
     "winch", motion, ("angle", "speed"),
     (
-        ModelParameter("inertia", 0.012, "kg m2", 0.03, "none"), ModelParameter("rotor", 0.008, "kg m2", 0.03, "none"),
-        ModelParameter("damping", 0.05, "N m s/rad"), ModelParameter("spring", 0.8, "N m/rad"),
+        ls.gap.ModelParameter("inertia", 0.012, "kg m2", 0.03, "none"),
+        ls.gap.ModelParameter("rotor", 0.008, "kg m2", 0.03, "none"),
+        ls.gap.ModelParameter("damping", 0.05, "N m s/rad"), ls.gap.ModelParameter("spring", 0.8, "N m/rad"),
     ),
-    (Input("drum", "drum_v", unit="N m"),), (Output("encoder", "angle", "lever_rad", unit="rad"),),
-    (Port("bearing", "drum", "angle", "speed", "rotor", "N m", "damping"),),
+    (ls.gap.Input("drum", "drum_v", unit="N m"),), (ls.gap.Output("encoder", "angle", "lever_rad", unit="rad"),),
+    (ls.gap.Port("bearing", "drum", "angle", "speed", "rotor", "N m", "damping"),),
 )  # fmt: skip
 SCALES = Scales(1.0, {"drum": (0.5, 0.2)}, {"encoder": 0.5}, {"bearing": PortScale(0.3, 3.0, -0.5, 0.5)})
 FORMS = {f"{form.effect}, {form.form}": form for form in forms(WINCH, SCALES)}

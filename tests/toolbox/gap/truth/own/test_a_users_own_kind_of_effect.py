@@ -8,9 +8,8 @@ import own_machine
 import pytest
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
 from loopshape.toolbox.gap.mechanism.mechanism import machine
-from loopshape.toolbox.gap.nouns.machine import Kind, ModelParameter
+from loopshape.toolbox.gap.nouns.machine import Kind
 from loopshape.toolbox.gap.own.composed import Composed
 from loopshape.toolbox.gap.own.file import read_model
 from loopshape.toolbox.gap.own.kinds import with_kinds
@@ -54,7 +53,10 @@ def cogging(q, v, n):
 
 @cache
 def own(port="bearing"):
-    numbers = (ModelParameter("torque", 0.0, "N m", range=(-0.2, 0.2)), ModelParameter("poles", 8.0, "1/rad"))
+    numbers = (
+        ls.gap.ModelParameter("torque", 0.0, "N m", range=(-0.2, 0.2)),
+        ls.gap.ModelParameter("poles", 8.0, "1/rad"),
+    )
     return with_kinds(own_machine.MODEL, [Kind("cogging", port, cogging, numbers)])
 
 
@@ -72,7 +74,7 @@ def test_its_force_acts_against_the_motion_and_is_nothing_at_zero():
 
 def test_a_port_that_is_not_there_is_refused():
     with pytest.raises(
-        WrongUseError, match=re.escape("kind cogging acts at a port of winch; received 'wheel'; it has")
+        ls.errors.WrongUseError, match=re.escape("kind cogging acts at a port of winch; received 'wheel'; it has")
     ):
         own("wheel")
 

@@ -7,13 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import own_machine
 import pytest
+from bench_nouns import RecordingInfo
 from scipy.integrate import solve_ivp
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output
 from loopshape.toolbox.gap.own import kernel
 from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms
 from loopshape.toolbox.gap.own.composed import Composed
@@ -142,7 +139,7 @@ def scaled(factors):
     """The healthy run with columns multiplied."""
 
     def changed(r):
-        return Recording(r.info, r.rate_hz, {k: factors.get(k, 1.0) * r.column(k) for k in r.columns})
+        return ls.Recording(r.info, r.rate_hz, {k: factors.get(k, 1.0) * r.column(k) for k in r.columns})
 
     return replace(run(), recordings=tuple(changed(r) for r in run().recordings))
 
@@ -158,7 +155,7 @@ def scaled(factors):
 )
 def test_a_wrong_sign_or_unit_is_found_before_anything_is_fitted(factors, words):
     steps = []
-    with pytest.raises(WrongUseError, match=words):
+    with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.gap(scaled(factors), model=own_machine.MODEL, table=False, say=steps.append)
     assert steps == ["software"]
 
@@ -298,9 +295,9 @@ def over_the_top(t, x, u, p):
 def test_a_window_in_which_an_unstable_start_runs_away_is_judged_by_the_start_that_fits():
     # let go just beside its upper rest a pendulum leaves it five hundred times as far in a window; the slope of a few
     # noisy samples is no start, and one step from there is none either
-    model = Model(
-        "pendulum", over_the_top, ("angle", "speed"), (ModelParameter("damping", 0.1, tolerance=0.1),),
-        (Input("motor", "torque_nm"),), (Output("encoder", "angle", "angle_rad"),), (), window_s=2.0,
+    model = ls.gap.Model(
+        "pendulum", over_the_top, ("angle", "speed"), (ls.gap.ModelParameter("damping", 0.1, tolerance=0.1),),
+        (ls.gap.Input("motor", "torque_nm"),), (ls.gap.Output("encoder", "angle", "angle_rad"),), (), window_s=2.0,
     )  # fmt: skip
     rng, t = np.random.default_rng(3), np.arange(0.0, 22.0, 0.005)
     u = np.zeros(t.size)
@@ -313,6 +310,6 @@ def test_a_window_in_which_an_unstable_start_runs_away_is_judged_by_the_start_th
     plant = OwnMachine(model)
     for k in range(10):  # each fall is a recording of one window
         part = {"torque_nm": u[440 * k : 440 * (k + 1)], "angle_rad": measured[440 * k : 440 * (k + 1)]}
-        run = Run(200.0, (), (Recording(RecordingInfo("r.parquet", "profile", "control"), 200.0, part),))
+        run = ls.Run(200.0, (), (ls.Recording(RecordingInfo("r.parquet", "profile", "control"), 200.0, part),))
         (path,) = plant.paths(plant.prepare(run.recordings[0], run, None), {}).values()
         assert np.sqrt(np.mean(path**2)) < 1.5

@@ -11,18 +11,14 @@ import numba
 import numpy as np
 import own_machine
 import pytest
+from bench_nouns import RecordingInfo
+from run_files import write_json
 from scipy.integrate import solve_ivp
 
 import loopshape as ls
-from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
-from loopshape.io.files import write_json
-from loopshape.io.run.run_folder import read_run, write_run
 from loopshape.io.seen import noting
 from loopshape.toolbox.gap.diagnose.diagnose import Attribution
 from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, BudgetStep
-from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
 from loopshape.toolbox.gap.own.composed import Composed
 from loopshape.toolbox.gap.own.plant import OwnMachine
 from loopshape.toolbox.gap.recordings.next_recording import SHARES, repeat
@@ -44,7 +40,7 @@ def spoiled(run, columns, factor=1.0, shift=0.0):
 
     def changed(r):
         own = {k: factor * r.column(k) + shift if k in columns else r.column(k) for k in r.columns}
-        return Recording(r.info, r.rate_hz, own)
+        return ls.Recording(r.info, r.rate_hz, own)
 
     return replace(run, recordings=tuple(changed(r) for r in run.recordings))
 
@@ -64,7 +60,7 @@ def checked(run, model=FAST):
 @pytest.mark.parametrize("factor", [DEG, 1.0 / DEG, 1000.0, 1e-3, 2.0 * np.pi, -1.0])
 @pytest.mark.parametrize("column", ["torque_nm", "lever_rad"])
 def test_a_column_wrong_by_a_plain_factor_is_named_with_its_factor_and_key(column, factor):
-    with pytest.raises(WrongUseError, match="mapped wrongly") as refused:
+    with pytest.raises(ls.errors.WrongUseError, match="mapped wrongly") as refused:
         checked(spoiled(winch(), [column], factor))
     text = str(refused.value)
     assert column in text.split(":")[0]
@@ -94,16 +90,17 @@ def servo(t, x, u, p):
 
 def servo_model(**gain):
     """The servo as a user describes it; what `gain` says of the input of that name."""
-    return Model(
+    return ls.gap.Model(
         "servo", FAST_SERVO, ("angle", "speed"),
         (
-            ModelParameter("inertia", 0.02, "kg m2", 0.03, "none"), ModelParameter("damping", 0.1, "N m s/rad", 0.1),
-            ModelParameter("payload", 0.0, "kg m2", effect="payload@arm", range=(0.0, 0.1)),
+            ls.gap.ModelParameter("inertia", 0.02, "kg m2", 0.03, "none"),
+            ls.gap.ModelParameter("damping", 0.1, "N m s/rad", 0.1),
+            ls.gap.ModelParameter("payload", 0.0, "kg m2", effect="payload@arm", range=(0.0, 0.1)),
         ),
-        (Input("target", "target_rad", unit="rad"), Input("kp", "kp_nm_per_rad", unit="N m/rad", **gain),
-         Input("push", None, unit="N m")),
-        (Output("encoder", "angle", "angle_rad", unit="rad"),),
-        (Port("shaft", "push", "angle", "speed", unit="N m"),), window_s=0.5,
+        (ls.gap.Input("target", "target_rad", unit="rad"), ls.gap.Input("kp", "kp_nm_per_rad", unit="N m/rad", **gain),
+         ls.gap.Input("push", None, unit="N m")),
+        (ls.gap.Output("encoder", "angle", "angle_rad", unit="rad"),),
+        (ls.gap.Port("shaft", "push", "angle", "speed", unit="N m"),), window_s=0.5,
     )  # fmt: skip
 
 
@@ -127,11 +124,11 @@ def servo_recording(k, gains, *, payload=0.0, rate_hz=250.0, seconds=6.0, **info
     x = solve_ivp(slope, (0.0, t[-1]), [0.0, 0.0], "RK45", t_eval=t, rtol=1e-6, atol=1e-8, max_step=1.0 / rate_hz).y
     read = x[0] + 1e-4 * rng.standard_normal(n)
     told = RecordingInfo(f"s{k}.parquet", "profile", "reference", **info)
-    return Recording(told, rate_hz, {"target_rad": target, "kp_nm_per_rad": kp, "angle_rad": read})
+    return ls.Recording(told, rate_hz, {"target_rad": target, "kp_nm_per_rad": kp, "angle_rad": read})
 
 
 def servo_run(*recordings):
-    return Run(recordings[0].rate_hz, (), recordings)
+    return ls.Run(recordings[0].rate_hz, (), recordings)
 
 
 def places(plant):
@@ -163,10 +160,10 @@ def test_a_larger_repetition_leaves_what_schedules_as_it_is():
 
 
 def test_a_force_does_not_act_at_an_input_that_schedules():
-    with pytest.raises(WrongUseError, match="input of port bearing; received drum schedules"):
-        replace(FAST, inputs=(Input("drum", "torque_nm", schedules=True),))
-    with pytest.raises(WrongUseError, match="schedules, so its values are recorded"):
-        Input("kp", schedules=True)
+    with pytest.raises(ls.errors.WrongUseError, match="input of port bearing; received drum schedules"):
+        replace(FAST, inputs=(ls.gap.Input("drum", "torque_nm", schedules=True),))
+    with pytest.raises(ls.errors.WrongUseError, match="schedules, so its values are recorded"):
+        ls.gap.Input("kp", schedules=True)
 
 
 def test_constants_of_a_recording_are_parameters_of_the_model_there():
@@ -190,7 +187,7 @@ def test_a_tolerance_moves_a_constant_by_its_share():
 
 def test_a_constant_that_is_no_parameter_is_refused():
     run = servo_run(servo_recording(1, (4.0,)), servo_recording(2, (4.0,), role="validation", parameters={"load": 1.0}))
-    with pytest.raises(WrongUseError, match=r"parameters of s2\.parquet are the model's; received 'load'"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"parameters of s2\.parquet are the model's; received 'load'"):
         checked(run, servo_model())
 
 
@@ -248,7 +245,7 @@ def test_a_model_file_that_is_touched_meanwhile_does_not_lose_the_answer(tmp_pat
 
 def test_a_recording_that_changes_meanwhile_still_loses_the_answer(tmp_path, monkeypatch):
     (tmp_path / "run").mkdir()
-    write_run(tmp_path / "run", servo_run(servo_recording(1, (4.0,))))
+    ls.write(servo_run(servo_recording(1, (4.0,))), tmp_path / "run")
 
     def touched(*_, **__):
         os.utime(tmp_path / "run" / "run.toml", ns=(1, 1))
@@ -256,7 +253,7 @@ def test_a_recording_that_changes_meanwhile_still_loses_the_answer(tmp_path, mon
 
     monkeypatch.setattr("loopshape.toolbox.gap.diagnose.diagnose.diagnose", touched)
     with noting():
-        ls.gap(read_run(tmp_path / "run"), model=servo_model())
+        ls.gap(ls.read(tmp_path / "run"), model=servo_model())
         with pytest.raises(ls.LoopshapeError, match="changed by another process"):
             write_json(tmp_path / "answer.json", {})
 
@@ -271,7 +268,9 @@ def test_model_toml_says_what_schedules_and_where_a_zero_is(tmp_path):
 
 def test_a_zero_that_is_a_quarter_turn_off_is_named_and_offset_cures_it():
     wrong = spoiled(swing(), ["angle_rad"], shift=-0.5 * np.pi)
-    with pytest.raises(WrongUseError, match=r"angle_rad: its zero is off by 0\.25 of a turn.*write offset = 1\.5708"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"angle_rad: its zero is off by 0\.25 of a turn.*write offset = 1\.5708"
+    ):
         checked(wrong, PENDULUM)
     cured = replace(PENDULUM, outputs=(replace(PENDULUM.outputs[0], offset=0.5 * np.pi),))
     checked(wrong, cured)
@@ -282,12 +281,13 @@ def pendulum(t, x, u, p):
     return x[1], (u[0] - p.damping * x[1] - p.weight * np.sin(x[0])) / p.inertia
 
 
-PENDULUM = Model(
+PENDULUM = ls.gap.Model(
     "pendulum", numba.njit(nogil=True)(pendulum), ("angle", "speed"),
-    (ModelParameter("inertia", 0.02, "kg m2", 0.03, "none"), ModelParameter("damping", 0.01, "N m s/rad", 0.1),
-     ModelParameter("weight", 1.0, "N m", 0.03, "none")),
-    (Input("motor", "torque_nm", unit="N m"),), (Output("encoder", "angle", "angle_rad", unit="rad"),),
-    (Port("pivot", "motor", "angle", "speed", unit="N m"),), window_s=0.4,
+    (ls.gap.ModelParameter("inertia", 0.02, "kg m2", 0.03, "none"),
+     ls.gap.ModelParameter("damping", 0.01, "N m s/rad", 0.1),
+     ls.gap.ModelParameter("weight", 1.0, "N m", 0.03, "none")),
+    (ls.gap.Input("motor", "torque_nm", unit="N m"),), (ls.gap.Output("encoder", "angle", "angle_rad", unit="rad"),),
+    (ls.gap.Port("pivot", "motor", "angle", "speed", unit="N m"),), window_s=0.4,
 )  # fmt: skip
 
 
@@ -305,7 +305,7 @@ def swing(size=1.4):
         x = solve_ivp(slope, (0.0, t[-1]), [0.1, 0.0], t_eval=t, rtol=1e-6, atol=1e-8, max_step=4e-3).y[0]
         read = x + 1e-4 * np.random.default_rng(k).standard_normal(t.size)
         info = RecordingInfo(f"p{k}.parquet", "profile", "control", closed_loop=False)
-        return Recording(info, rate_hz, {"torque_nm": torque, "angle_rad": read})
+        return ls.Recording(info, rate_hz, {"torque_nm": torque, "angle_rad": read})
 
     return servo_run(recording(1), recording(2))
 
@@ -339,7 +339,9 @@ def test_a_small_recording_is_proposed_larger_up_to_what_was_seen():
 
 def test_an_axis_whose_positions_lie_off_zero_is_not_asked_to_go_there():
     r = winch().recordings[0]
-    off = Recording(r.info, r.rate_hz, {"torque_nm": r.column("torque_nm"), "lever_rad": r.column("lever_rad") + 5.0})
+    off = ls.Recording(
+        r.info, r.rate_hz, {"torque_nm": r.column("torque_nm"), "lever_rad": r.column("lever_rad") + 5.0}
+    )
     plant, run = OwnMachine(FAST), servo_run(off)
     f = plant.prepare(off, run, None)
     assert not plant.within(plant.repeated(f, {}, 0.4), [f])
@@ -362,8 +364,8 @@ def test_a_carriage_that_goes_along_its_axis_is_not_at_one_operating_point():
     t = np.arange(4000) / 250.0
     x = 0.125 * (1.0 - np.cos(2 * np.pi * t / 8.0))
     info = RecordingInfo("x.parquet", "profile", "reference")
-    axis = replace(PENDULUM, outputs=(Output("encoder", "angle", "x_m", unit="m"),))
-    notes, _ = suitable(OwnMachine(axis), servo_run(Recording(info, 250.0, {"torque_nm": x, "x_m": x})))
+    axis = replace(PENDULUM, outputs=(ls.gap.Output("encoder", "angle", "x_m", unit="m"),))
+    notes, _ = suitable(OwnMachine(axis), servo_run(ls.Recording(info, 250.0, {"torque_nm": x, "x_m": x})))
     assert not any("one operating point" in note for note in notes)
 
 
@@ -404,11 +406,13 @@ def topple(t, x, u, p):
 
 def test_a_push_under_which_a_window_runs_away_tells_no_size():
     balance = replace(
-        PENDULUM, motion=numba.njit(nogil=True)(topple), parameters=(ModelParameter("gain", 1.0, "1", 0.1, "none"),)
+        PENDULUM,
+        motion=numba.njit(nogil=True)(topple),
+        parameters=(ls.gap.ModelParameter("gain", 1.0, "1", 0.1, "none"),),
     )
     t = np.arange(1500) / 250.0
     columns = {"torque_nm": 1e-3 * np.sin(9.0 * t), "angle_rad": 1e-3 * np.sin(9.0 * t + 3.0)}
-    run = servo_run(Recording(RecordingInfo("b.parquet", "profile", "control"), 250.0, columns))
+    run = servo_run(ls.Recording(RecordingInfo("b.parquet", "profile", "control"), 250.0, columns))
     plant = OwnMachine(balance)
     scale = plant._port("pivot", [plant.prepare(run.recordings[0], run, None)], 1e-3)
     assert 1e-4 < scale.force < 10.0

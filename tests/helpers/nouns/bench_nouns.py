@@ -1,0 +1,61 @@
+"""Nouns of the bench without a public name, for tests that build them: the one place that knows where they live."""
+
+from loopshape.data.control.block import Block, BlockTemplate, Free
+from loopshape.data.control.controller import Precision, step
+from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable, gain_scheduled
+from loopshape.data.control.loop import Loop, LoopMatrix
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
+from loopshape.data.response.model import Estimate, TransferFunction
+from loopshape.data.result.baseline import Checked
+from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
+from loopshape.data.result.prediction import INDICATORS, Indicators, Step, StepComparison
+from loopshape.data.result.verdict import Line
+from loopshape.data.signal.channel import Channel
+from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Sampled, Staircase, Sweep
+from loopshape.data.signal.experiment import Experiment, LoopSetup
+from loopshape.data.signal.recording import RecordingInfo
+from loopshape.identify.settings import Settings
+from loopshape.identify.structures import Integrator, Rational, ThirdOrder
+
+__all__ = [
+    "INDICATORS",
+    "LIMITS",
+    "LIMIT_OF",
+    "BandNoise",
+    "Block",
+    "BlockTemplate",
+    "Channel",
+    "Checked",
+    "Detuning",
+    "Estimate",
+    "Experiment",
+    "Follows",
+    "Free",
+    "GainScheduled",
+    "Indicators",
+    "Integrator",
+    "Line",
+    "Loop",
+    "LoopMatrix",
+    "LoopSetup",
+    "Lost",
+    "MovedResonance",
+    "Multisine",
+    "Prbs",
+    "Precision",
+    "Profile",
+    "Rational",
+    "Reach",
+    "RecordingInfo",
+    "Sampled",
+    "Settings",
+    "Staircase",
+    "Step",
+    "StepComparison",
+    "Sweep",
+    "ThirdOrder",
+    "TransferFunction",
+    "Variable",
+    "gain_scheduled",
+    "step",
+]
