@@ -1,6 +1,7 @@
 """S + T = 1 and the relations between the four sensitivities, for any plant and any controller."""
 
 import numpy as np
+import pytest
 from bench_nouns import Block, Loop
 from conversions import from_db
 from hypothesis import assume, given, settings
@@ -48,6 +49,7 @@ def test_s_plus_t_is_one_and_the_four_belong_together(loop):
     np.testing.assert_allclose(S * (1.0 + loop.L), 1.0, rtol=1e-9)
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None)
 @given(loops())
 def test_margins_bound_each_other(loop):

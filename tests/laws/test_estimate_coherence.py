@@ -41,6 +41,7 @@ def test_coherence_lies_between_0_and_1(seed, pole, size, offset, overlap, perio
     assert np.all((frf.coherence >= 0.0) & (frf.coherence <= 1.0 + 1e-12))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("segments", [10, 40, 160])
 def test_coherence_of_unrelated_signals_is_one_over_the_averages(segments):
     # without overlap each of the segments is an average; exponential of mean 1/m: Carter, Knapp, Nuttall 1973

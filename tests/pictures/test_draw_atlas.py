@@ -25,6 +25,7 @@ def by_gid(ax: Axes, gid: str) -> list:
     return [line for line in ax.lines if line.get_gid() == gid]
 
 
+@pytest.mark.long
 def test_cells_are_the_sensitivity_at_their_lines() -> None:
     loops, requirements, verdict = loop_nouns.arm()
     ax = sensitivity_atlas(loops, requirements, verdict=verdict).axes[0]

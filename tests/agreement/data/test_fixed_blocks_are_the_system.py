@@ -118,6 +118,7 @@ def test_a_section_that_cannot_run_is_refused(numbers, words):
         Block("section", dict(zip(("n0", "n1", "n2", "d0", "d1", "d2"), numbers, strict=True)))
 
 
+@pytest.mark.long
 def test_a_structure_with_fixed_blocks_and_a_pid_is_tuned_and_passes():
     plant = ls.FRF.from_control(
         control.tf([4e4], [1.0, 20.0, 0.0]), np.geomspace(0.5, 300.0, 200), rate_hz=RATE, loop="x", recording="r"

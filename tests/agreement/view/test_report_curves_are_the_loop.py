@@ -44,6 +44,7 @@ def test_embedded_arrays_are_the_loop(loop_and_trace) -> None:
     np.testing.assert_array_equal(np.frombuffer(b64decode(held["f"]), "<f8"), loop.frequency_hz)
 
 
+@pytest.mark.long
 def test_what_the_page_reads_off_is_the_closed_loop_with_its_bands(loop_and_trace, tmp_path) -> None:
     """In the browser, on some frequencies, against the algebra of matrices."""
     loop, _ = loop_and_trace

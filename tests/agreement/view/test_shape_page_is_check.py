@@ -115,6 +115,7 @@ def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path)
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", shaped_cases.CROWDS)
 def test_resonances_close_together_are_followed_as_check_follows_them(name: str, context: Any, tmp_path: Path) -> None:
     """Gains at which they encircle -1, come near it, and stay clear of it."""
@@ -142,6 +143,7 @@ HEAVY = ls.AtPoints(
 LATE = ls.AtPoints({"load_kg": (0.0, 9.0), "x_m": (0.0, 1.0)}, {"phase_margin_deg": 20.0})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["minus", "sharp"])
 def test_masks_and_limits_of_single_operating_points(kind: str, context: Any, tmp_path: Path) -> None:
     """One point lies in a range, one in none, and one range names a coordinate that no point has."""
@@ -153,6 +155,7 @@ def test_masks_and_limits_of_single_operating_points(kind: str, context: Any, tm
     assert not compared(context, tmp_path, frfs, LAGS, R, 3)
 
 
+@pytest.mark.long
 def test_the_detuning_margin_of_a_mask(context: Any, tmp_path: Path) -> None:
     """A mask on |S| that a moved resonance breaks before anything else does."""
     P, R, _ = shaped_cases.bench()
@@ -177,6 +180,7 @@ SECTIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", ["double", "q8.28"])
 def test_blocks_of_other_programs_and_pid(precision: str, context: Any, tmp_path: Path) -> None:
     """PID and sections, with none, one or two integrators, or a zero at 0 Hz."""
@@ -195,6 +199,7 @@ def on_the_bench(gain: float, notch_hz: float) -> ls.Controller:
     return ls.controller(*parts, rate_hz=2500.0, loop="motor")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("percent", [1.5, None])
 def test_the_detuning_margin_moves_with_the_controller(percent: float | None, context: Any, tmp_path: Path) -> None:
     """Where it is required, with its intervals from draws, and of a plant with a fit; and where it is only told."""
@@ -237,6 +242,7 @@ def test_each_resonance_moved_alone_leaves_what_check_says(context: Any, tmp_pat
     assert len({round(way.percent, 3) for one in moved for way in (one.up, one.down) if 0.0 < way.percent < 20.0}) >= 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("coupling", [0.3, 2.0])
 def test_each_loop_of_a_matrix_meets_the_plant_with_the_others_closed(
     coupling: float, context: Any, tmp_path: Path

@@ -54,6 +54,7 @@ def page(widget: Any) -> Iterator[Any]:
         assert errors == []
 
 
+@pytest.mark.long
 def test_a_notch_moved_in_the_cell_moves_it_in_python_and_back(widget: Any, page: Any) -> None:
     field = page.locator("#one").get_by_label("zero [Hz] of block 3, notch", exact=True)
     field.fill("79")

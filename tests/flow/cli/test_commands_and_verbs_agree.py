@@ -92,6 +92,7 @@ def test_frf_warns_as_its_verbs_do(folder, estimated):
     assert P.digest == found.frfs[0].digest == read_frfs(folder / "run")[0].digest
 
 
+@pytest.mark.long
 def test_check_says_what_its_verb_gives(folder, estimated):
     words = said("check", folder / "run", folder / "controller.toml", "--require", folder / "require.toml")
     (R,), (C,) = ls.read_requirements(folder / "require.toml"), ls.read_controllers(folder / "controller.toml")

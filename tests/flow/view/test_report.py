@@ -390,6 +390,7 @@ def root_of(dom: str) -> dict[str, str | None]:
     return Page(dom).all("html")[0]
 
 
+@pytest.mark.long
 @needs_browser
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_browser_shows_it_without_errors_and_without_sideways_scrolling(

@@ -89,6 +89,7 @@ def handle(page: Any, label: str) -> tuple[float, float]:
     return box["x"] + x, box["y"] + y
 
 
+@pytest.mark.long
 def test_the_bench_is_shaped_by_hand_from_gain_1_and_check_signs_it(page: Any, tmp_path: Path) -> None:
     assert state(page)["outcome"] == "failed"
     typed(page, "gain of block 1, gain", 12)
@@ -457,6 +458,7 @@ def test_json_nested_too_deeply_is_answered(server: ShapeServer, body: bytes) ->
     assert (code, said["error"]) == (400, "a request without sense: it is nested too deeply")
 
 
+@pytest.mark.long
 def test_silent_and_slow_connections_hold_neither_threads_nor_the_page(
     server: ShapeServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -97,6 +97,7 @@ def test_noise_differs_from_machine_to_machine(alone):
     assert (one != other).any()
 
 
+@pytest.mark.long
 @pytest.mark.short
 def test_two_processes_give_the_same_to_the_last_bit(campaign, alone):
     out = campaign.parent / "two"

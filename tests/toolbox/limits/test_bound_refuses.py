@@ -60,6 +60,7 @@ def test_limits_that_no_controller_meets(asked):
     assert found.reached.bandwidth_hz == 0.0
 
 
+@pytest.mark.long
 def test_a_limit_just_above_what_none_meets_is_bounded():
     found = bound(
         [frf_of(TransferFunction([1.0], [1.0, 0.0]))],

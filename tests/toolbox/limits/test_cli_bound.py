@@ -36,6 +36,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.long
 def test_bound_says_how_far_and_by_what(folder, capsys):
     (found,) = bound_run(folder / "run", folder / "own.toml", folder / "req.toml", Output())
     said = capsys.readouterr()
@@ -45,6 +46,7 @@ def test_bound_says_how_far_and_by_what(folder, capsys):
     assert "left out (they only lower what is possible): phase_margin_deg" in said.out
 
 
+@pytest.mark.long
 def test_bound_as_json(folder, capsys):
     bound_run(folder / "run", folder / "own.toml", folder / "req.toml", Output(as_json=True))
     (loop,) = json.loads(capsys.readouterr().out)["loops"]
@@ -53,6 +55,7 @@ def test_bound_as_json(folder, capsys):
     assert loop["bandwidth_hz"] < loop["reached"]["bandwidth_hz"] <= min(one["bound_hz"] for one in loop["alone"])
 
 
+@pytest.mark.long
 def test_schedule_draws_and_reports(folder, capsys):
     schedule_run(folder / "run", folder / "req.toml", folder / "own.toml", Output(as_json=True), starts=2)
     told = json.loads(capsys.readouterr().out)

@@ -28,6 +28,7 @@ def stable_loops(rng, plants):
     return None
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(5))
 def test_one_plant(seed):
     rng = np.random.default_rng(seed)

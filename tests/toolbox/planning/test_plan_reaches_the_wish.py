@@ -63,6 +63,7 @@ def carried_out(place, found, repeats=REPEATS):
     return G / known.plant(found.lines_hz[crossover(found)]), own
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("place", "kind"),
     [("control", "noise"), ("controller_input", "multisine"), ("plant_input", "sweep"), ("reference", "sweep")],

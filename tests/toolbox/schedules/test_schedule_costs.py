@@ -60,6 +60,7 @@ def test_own_is_never_worse_than_robust(frfs):
     assert point.own_hz == point.robust_hz
 
 
+@pytest.mark.long
 def test_the_bound_of_a_controller_says_how_far_it_is_at_every_point(frfs):
     told = []
     found = bound(frfs, gain(5.0), ASKED, step=told.append)

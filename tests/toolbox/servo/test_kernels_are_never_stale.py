@@ -144,6 +144,7 @@ def test_where_the_package_cannot_be_written_the_users_folder_serves(tmp_path):
     assert coast(package, **nowhere) == [BRAKED, 1]
 
 
+@pytest.mark.long
 def test_a_key_covers_all_that_an_import_runs(package):
     """For every file with a compiled function: no module of ours that Python loads with it is outside its key."""
     rooms = [Path(one.__file__).parent for one in (loopshape, examiner)]

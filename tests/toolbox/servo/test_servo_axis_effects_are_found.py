@@ -93,6 +93,7 @@ def test_a_known_effect_is_ranked_first_with_its_magnitude(effect, changes, magn
     assert order[0].cost < 3.0 * evidence.quiet
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate_hz", [200.0, 100.0])
 def test_friction_is_found_at_slow_rates(rate_hz):
     _, _, order = ranking(slower(recorded({"coulomb_n": 15.0}, GIVEN), rate_hz))
@@ -107,6 +108,7 @@ def test_every_start_of_every_form_is_a_parameter_of_the_axis_at_any_rate(rate_h
         assert np.isfinite(axis.parameters.vector(form.moves([f.starts[0] for f in form.free]))).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("given", [GIVEN, {}, {"mass_kg": 97.0, "viscous_ns_m": 230.0}])
 def test_an_ordinary_axis_has_no_gap(given):
     evidence, base, order = ranking(recorded({}, given, count=2))

@@ -108,6 +108,7 @@ def test_each_part_of_the_mathematics_names_its_code(page: str) -> None:
     assert [part.splitlines()[0] for part in parts if "*Code:*" not in part] == []
 
 
+@pytest.mark.long
 def test_the_pictures_show_what_the_code_computes_and_can_be_read() -> None:
     noted = json.loads((ROOT / "figures" / "shown.json").read_text())
     pictures = runpy.run_path(str(DOCS / "pictures.py"))

@@ -133,6 +133,7 @@ def test_a_toolbox_s_names_are_copied_pickled_and_called_as_they_should() -> Non
     assert list(inspect.signature(ls.gap).parameters)[:2] == ["run", "model"]
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)  # s; compiles what no other test has before
 def test_examples_of_the_public_names_run() -> None:
     every = [attrgetter(name)(ls) for name in EVERY]
@@ -147,6 +148,7 @@ def test_an_unknown_name_is_no_attribute() -> None:
         _ = ls.tuen
 
 
+@pytest.mark.long
 def test_from_arrays_to_a_verdict(arrays: dict[str, np.ndarray]) -> None:
     """The FRF is the plant's within its own error, and the tuned loop's margins are those of the known plant."""
     P = ls.frf(ls.Run.from_arrays(**arrays, rate_hz=RATE_HZ))
@@ -239,6 +241,7 @@ def test_pictures_take_nouns_and_an_axes() -> None:
     plt.close("all")
 
 
+@pytest.mark.long
 def test_predicted_and_bounded_from_the_same_nouns() -> None:
     """The prediction's |S| is that of the known loop; the controller does not exceed the bound."""
     P = ls.FRF.from_arrays(F_HZ, exact(PLANT, F_HZ), relative_std=0.01, rate_hz=RATE_HZ)

@@ -112,6 +112,7 @@ def test_every_command_line_shown_is_run_by_a_test() -> None:
     assert shown == run
 
 
+@pytest.mark.long
 def test_the_python_of_the_readme_runs() -> None:
     (shown,) = re.findall(r"```python\n(.*?)```", README, flags=re.S)
     (printed,) = re.findall(r"```text\n(.*?)```", README, flags=re.S)
@@ -139,6 +140,7 @@ def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 120
 
 
+@pytest.mark.long
 def test_the_numbers_of_the_tour_hold(tmp_path: Path) -> None:
     """53-54 Hz at -82 dB, 77 Hz at -37 dB, zeros 53.9 and poles 76.2 Hz, 36.6 Hz of bandwidth."""
     import numpy as np

@@ -85,6 +85,7 @@ def plugin(tmp_path):
     return installed(tmp_path, "loopshape_scope", "scope = loopshape_scope:TOOLBOX")
 
 
+@pytest.mark.long
 def test_the_stranger_s_command_block_and_reader(plugin, tmp_path):
     recording = tmp_path / "trace.scope"
     recording.write_text("u y\n" + "\n".join(f"{k % 7} {k % 5}" for k in range(3000)))

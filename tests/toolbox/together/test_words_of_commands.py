@@ -150,6 +150,7 @@ def test_the_help_cuts_no_description_at_80_columns():
             assert function_at(one.at).__doc__.startswith(line.split(maxsplit=1)[1]), one.name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [one.name for commands in COMMANDS.values() for one in commands])
 def test_every_command_has_an_example_that_it_takes(name):
     """The words of the example are parsed by the command itself: a wrong option would be refused."""

@@ -194,6 +194,7 @@ def test_control_follows_from_the_logged_signals():
     np.testing.assert_allclose(z[4000:], r.column("z_theta2_v")[4000:], atol=2.0**-13)
 
 
+@pytest.mark.long
 def test_same_seed_same_run_and_another_seed_another():
     again, other = make_run({}, 1), make_run({}, 2)
     for a, b, c in zip(run(1).recordings, again.recordings, other.recordings, strict=True):
@@ -202,6 +203,7 @@ def test_same_seed_same_run_and_another_seed_another():
         assert not np.array_equal(a.column("theta2_rad")[:7000], c.column("theta2_rad")[:7000])
 
 
+@pytest.mark.long
 def test_effects_leave_the_signals_of_a_seed_alone():
     healthy, heavy = run(1), make_run({"payload": 60.0}, 1)
     for a, b in zip(healthy.recordings, heavy.recordings, strict=True):
@@ -283,6 +285,7 @@ for variant in (0, 1):
 """
 
 
+@pytest.mark.long
 def test_plain_python_gives_what_the_compiled_kernel_gives():
     plain, compiled = (
         subprocess.run(

@@ -62,6 +62,7 @@ def test_measure_again_keeps_what_is_there(arm: Path) -> None:
     assert {p: p.stat().st_mtime_ns for p in (arm / "run").glob("*.parquet")} == before
 
 
+@pytest.mark.long
 def test_an_interrupted_run_goes_on_and_gives_the_same_recordings(arm: Path, tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(SMALL_STUDY)
     assert loopshape("measure", tmp_path / "study.toml", "--out", tmp_path / "run").returncode == 0
@@ -232,6 +233,7 @@ def test_every_command_has_help() -> None:
     assert loopshape("frf", "--help").returncode == 0
 
 
+@pytest.mark.long
 def test_plain_environment_is_enough(tmp_path: Path) -> None:
     """No home, no display: as a CI job has it."""
     clean = {"PATH": os.environ["PATH"], "HOME": str(tmp_path), "MPLCONFIGDIR": str(tmp_path)}

@@ -68,6 +68,7 @@ def test_on_a_linear_arm_both_ways_give_the_plant_exactly(asked):
         np.testing.assert_allclose(frf.response, truth, rtol=1e-9)
 
 
+@pytest.mark.long
 def test_in_valves_on_one_throttle_part_the_two_ways_at_any_amplitude(asked):
     apart = change(*on_linear_arm(asked, LIN.fill, LIN.exhaust, shared=False))
     shared = [change(*on_linear_arm(asked, LIN.fill, LIN.exhaust, shared=True, scale=s)) for s in (1.0, 0.1)]

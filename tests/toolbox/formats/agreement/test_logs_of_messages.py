@@ -337,6 +337,7 @@ def write_joints(path, names_of):
     return path if first else next((path.parent / path.stem).glob(f"*{path.suffix}"))
 
 
+@pytest.mark.long
 @pytest.mark.short
 @pytest.mark.parametrize("ending", [".bag", ".db3", ".mcap"])
 def test_joint_states_go_by_joint_whatever_the_order_of_names(tmp_path, ending):

@@ -91,6 +91,7 @@ def imported(folder, name, ending, columns=None, text=MAP):
     return folder / name
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "parquet", "mat"])
 def test_import_and_frf(tmp_path, by_stretches, ending):
     whole = ls.read(imported(tmp_path, "whole", ending))

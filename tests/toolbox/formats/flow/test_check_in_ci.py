@@ -17,6 +17,8 @@ from run_files import read_verdicts
 import loopshape as ls
 from loopshape.cli.output import Output
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[4]
 WORKFLOW = ROOT / "examples" / "ci" / "check-controllers.yml"
 BENCH = ROOT / "examples" / "motor_bench"

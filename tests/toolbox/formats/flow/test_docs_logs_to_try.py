@@ -39,6 +39,7 @@ def test_every_block_is_tried():
     assert {ending for block in BLOCKS for ending in re.findall(r"try\.(\w+)", block)} == set(NEEDS)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("ending", ["tdms", "mf4", "mat", "json", "csv", "bag"])
 def test_the_draft_is_taken_and_the_response_is_the_plant(ending, tmp_path, monkeypatch):
     file = written(ending, tmp_path, monkeypatch)

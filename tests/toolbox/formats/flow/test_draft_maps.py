@@ -125,6 +125,7 @@ def test_an_open_loop_and_a_period_are_seen(tmp_path):
     assert (info.period_s, info.periodic_from_s) == (1000 / RATE, 0.0)
 
 
+@pytest.mark.long
 def test_stamps_of_every_kind_give_the_rate(tmp_path):
     n, z, y = loop_signals()
     k = np.arange(N)

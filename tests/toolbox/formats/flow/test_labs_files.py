@@ -102,6 +102,7 @@ print(refused)
 """
 
 
+@pytest.mark.long
 def test_a_damaged_mdf_file_ends_in_a_sentence(mdf, tmp_path):
     """In a process of its own: what the reader does to damaged files is its own affair."""
     said = subprocess.run(

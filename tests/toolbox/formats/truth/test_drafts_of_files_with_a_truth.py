@@ -254,6 +254,7 @@ ASKED = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FILES)
 def test_a_draft_is_right_or_asked(name, tmp_path):
     write, rate, control, output, places = FILES[name]
@@ -268,6 +269,7 @@ def test_a_draft_is_right_or_asked(name, tmp_path):
     assert draft.table["recording"]["injection"] in places
 
 
+@pytest.mark.long
 def test_columns_that_are_left_out_or_passed_over_are_counted(tmp_path):
     said = " ".join(draft_map(seventy_other_columns(tmp_path)).guesses)
     assert "among 24 of 64 signals" in said

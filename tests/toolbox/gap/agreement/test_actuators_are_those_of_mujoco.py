@@ -101,6 +101,7 @@ def integrated(model, commands, hold_s, start, **values):
     return np.array(out)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("gear", [1.0, -2.5])
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_actuator_drives_the_arm_as_mujoco_steps_it(kind, gear):
@@ -123,6 +124,7 @@ KINDS_OF_RECORDS = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS_OF_RECORDS)
 def test_a_recorded_command_beyond_its_range_is_what_mujoco_makes_of_it(kind):
     xml = text(KINDS_OF_RECORDS[kind])
@@ -228,6 +230,7 @@ def test_units_of_commands_and_what_a_command_cannot_have():
     assert (motor.input, motor.motor_inertia) == ("tried", "armature_shoulder")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["motor", "position"])
 def test_dry_friction_of_a_joint_holds_and_slides_as_in_mujoco(kind):
     kinds = {"motor": "<motor", "position": '<position kp="12" kv="0.4"'}
@@ -323,6 +326,7 @@ def test_a_joint_may_be_a_motor_and_a_sensor_without_being_one_in_the_model():
     assert model.motion(0.0, [0.0, 0.0], np.array([0.3]), p)[1] == pytest.approx(0.3 / inertia)
 
 
+@pytest.mark.long
 def test_the_state_of_a_filter_is_known_from_the_commands():
     # told from the motion it would be one with a speed: at the first compared sample it has long been forgotten
     xml = text(KINDS["filter"].replace("0.03", "0.05"))

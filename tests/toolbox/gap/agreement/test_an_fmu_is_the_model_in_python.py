@@ -73,6 +73,7 @@ def test_what_a_killed_process_unpacked_is_removed_by_the_next(tmp_path, monkeyp
     assert list(place.iterdir()) == [target]
 
 
+@pytest.mark.long
 def test_both_follow_alike_with_effects_around_them_and_on_several_threads(tmp_path):
     plants = OwnMachine(machine(tmp_path, 2)), OwnMachine(own_machine.MODEL)
     r = recording()

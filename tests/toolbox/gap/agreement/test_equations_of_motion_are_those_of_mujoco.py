@@ -48,6 +48,7 @@ def built(window_s=1.0):
     return machine(Mechanism("odd", mujoco.MjSpec.from_string(XML), {}, COLUMNS, SENSORS, window_s))
 
 
+@pytest.mark.long
 @pytest.mark.short
 def test_a_replay_is_the_one_that_mujoco_steps():
     model, n, keep = built(), 1200, 2

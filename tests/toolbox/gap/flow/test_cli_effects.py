@@ -126,6 +126,7 @@ def test_the_list_for_people():
     assert "point mass 0.34 m from the joint" in printed
 
 
+@pytest.mark.long
 def test_a_figure_of_one_effect(tmp_path):
     printed = loopshape("effects", "--figure", tmp_path / "page.png", "--effect", "gas_law=0.9")
     assert str(tmp_path / "page.png") in printed

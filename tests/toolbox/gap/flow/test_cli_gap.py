@@ -118,6 +118,7 @@ def test_the_next_experiment_can_be_measured_as_written(done, answer):
     assert {loop.name: loop.controller.blocks for loop in planned.loops if loop.controller} == own
 
 
+@pytest.mark.long
 def test_a_healthy_arm_has_no_gap_and_nothing_to_shrink(place, tmp_path):
     ls.write(recorded({}), tmp_path / "healthy")
     assert loopshape("gap", tmp_path / "healthy", "--save-answer", tmp_path / "gap.json", "--quick", "--quiet") == 0

@@ -12,6 +12,8 @@ from loopshape.cli.output import Output
 from loopshape.toolbox.gap.commands.gap_two_runs import two_runs
 from loopshape.toolbox.gap.two_runs.table import compare
 
+pytestmark = pytest.mark.long
+
 POINTS = ({"theta2_deg": 0.0, "p_ab_bar": 1.0}, {"theta2_deg": 15.0, "p_ab_bar": 1.0})
 ODD = tuple(0.1 * k for k in range(3, 141, 2) if k % 8 != 7)
 

@@ -153,6 +153,7 @@ def words(figure: Figure) -> str:
     return " | ".join([*texts, *(a.get_title(loc="left") for a in figure.axes)])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("make", ALL.values(), ids=list(ALL))
 def test_every_verdict_gives_a_whole_figure_under_its_sentence(make) -> None:
     report = make()

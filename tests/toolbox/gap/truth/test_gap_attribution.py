@@ -12,6 +12,8 @@ from loopshape.toolbox.gap.diagnose.diagnose import attribute_effect
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 
+pytestmark = pytest.mark.long
+
 CATALOGUE = ("payload", "gas_law", "joint_friction", "valve_delay", "angle_sensor_lag")
 
 

@@ -155,6 +155,7 @@ STICKING = """<mujoco><option timestep="0.0002" integrator="RK4"/><worldbody><bo
 </body></worldbody><actuator><motor name="drive" joint="rail"/></actuator></mujoco>"""
 
 
+@pytest.mark.long
 def test_a_right_mapping_of_an_axis_that_sticks_is_not_taken_for_a_wrong_unit():
     # about rest dry friction lets nothing move: there the axis seems to go 43 times as far as its motor should move it
     wave, m = np.sin(2.0 * np.pi * 0.7 * np.arange(4000) / RATE_HZ), mujoco.MjModel.from_xml_string(STICKING)

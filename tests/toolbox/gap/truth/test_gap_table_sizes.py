@@ -32,6 +32,7 @@ def injected(kind, seed=0):
     return np.tile(one, SAMPLES // one.size), {"period_s": PERIOD_S, "from_s": 0.0}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["noise", "multisine"])
 @pytest.mark.parametrize("same", [True, False])
 def test_p_values_of_equal_machines_are_small_as_rarely_as_they_say(kind, same):

@@ -29,6 +29,7 @@ def missing(run):
     return nameless(evidence, healthy.hypothesis.moves(healthy.phi), healthy.residual)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cogs", [9.0, 40.0])  # the second has more periods along the travel than twelve places tell
 def test_a_force_over_position_that_no_list_has_is_drawn_as_it_is(cogs):
     found = missing(run_of(2, cogging=0.05, cogs=cogs))
@@ -42,6 +43,7 @@ def test_a_force_over_position_that_no_list_has_is_drawn_as_it_is(cogs):
     assert np.std(off) < 0.25 * np.std(truth)
 
 
+@pytest.mark.long
 def test_friction_is_drawn_as_a_jump_at_standstill():
     found = missing(run_of(2, coulomb=0.05))
     (curve,) = [c for c in found.curves("bearing", {"port.bearing.coulomb": 0.05}) if c.over == "speed"]
@@ -194,6 +196,7 @@ def run_with(*recordings):
     return ls.Run(RATE_HZ, (), recordings)
 
 
+@pytest.mark.long
 def test_the_floor_of_a_baseline_is_what_is_left_there_and_one_window_does_not_set_it():
     ripple = 0.01
     seen = [against(OwnMachine(MODEL), run_with(disturbed(ripple, jump)), 1).model.outputs[0].leaves for jump in (0, 1)]

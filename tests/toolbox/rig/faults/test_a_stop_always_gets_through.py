@@ -106,6 +106,7 @@ def test_the_next_host_comes_straight_after_a_close(a_target):
     print(f"slowest of 40: {1e3 * max(took_s):.0f} ms")
 
 
+@pytest.mark.long
 @TARGETS
 def test_a_host_that_speaks_keeps_its_place(a_target):
     with a_target() as port, open_link(port, 0) as link, ExitStack() as others:

@@ -461,6 +461,7 @@ DOUBTFUL = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("change", "words"), DOUBTFUL)
 def test_a_verdict_that_does_not_pass_these_controllers_is_refused_or_allowed_by_name(tmp_path, change, words):
     study, run = write_study(tmp_path, study_text(target=REAL)), tmp_path / "run"

@@ -73,6 +73,7 @@ def test_measure_reads_its_study_its_run_and_each_column_once(tmp_path, monkeypa
     assert set(columns.values()) == {1}
 
 
+@pytest.mark.long
 def test_check_builds_each_loop_once_for_verdict_and_pictures(axis, monkeypatch):
     files = counted(monkeypatch, words, "read_toml", lambda path: Path(path).name)
     built = counted(monkeypatch, verdict, "smoothed", lambda frf, band: frf.recording)
@@ -83,6 +84,7 @@ def test_check_builds_each_loop_once_for_verdict_and_pictures(axis, monkeypatch)
     assert set(files.values()) == {1}
 
 
+@pytest.mark.long
 def test_figures_build_each_loop_once(axis, monkeypatch):
     built = counted(monkeypatch, verdict, "smoothed", lambda frf, band: frf.recording)
     figures(axis, controller=axis / "c.toml", quiet=True)

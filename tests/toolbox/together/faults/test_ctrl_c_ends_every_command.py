@@ -137,6 +137,7 @@ with ended_soon("interrupted; test", lambda: None):
 """
 
 
+@pytest.mark.long
 def test_an_interrupt_that_falls_into_a_callback_ends_the_program_all_the_same():
     begun = time.monotonic()
     done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=25, check=False)

@@ -58,6 +58,7 @@ def test_direct_estimate_without_excitation_is_minus_the_inverse_controller():
     np.testing.assert_allclose(frf.siso, -1.0 / LOOP.controller.response(frf.frequency_hz), rtol=0.05)
 
 
+@pytest.mark.long
 def test_in_open_loop_both_estimators_are_one():
     both = [relative_error(estimator, 240, "control") for estimator in ("reference", "direct")]
     assert both[0] == both[1] < 0.2
@@ -70,6 +71,7 @@ def direct_notes(place, *, drop=(), loop=LOOP):
     return " ".join(estimate_frf(kept, loop, Settings("direct")).notes)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", ["controller_input", "plant_input", "reference"])
 def test_direct_estimator_warns_where_there_is_feedback(place):
     note = direct_notes(place)
@@ -97,6 +99,7 @@ def test_reference_based_estimator_does_not_warn():
     assert frf.notes == ()
 
 
+@pytest.mark.long
 def test_direct_estimator_warns_of_feedback_without_knowing_the_controller():
     unknown = replace(LOOP, controller=None)
     for place in ("controller_input", "reference"):
@@ -120,6 +123,7 @@ def test_an_injection_that_drowns_is_never_trusted_though_its_residual_is_small(
     assert "loop noise exceeds the excitation at the plant input" in " ".join(frf.notes)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["welch", "local"])
 @pytest.mark.parametrize("share", [0.0, 0.03, 0.3])
 def test_direct_lines_that_are_minus_the_inverse_controller_are_outside_the_valid_band(method, share):

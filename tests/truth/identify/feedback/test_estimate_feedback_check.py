@@ -67,6 +67,7 @@ def test_one_record_in_a_hundred_is_a_false_alarm(excitation):
     assert 0.35 < np.median(p) < 0.6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [1e-4, 1e-3, 1e-2, 3e-2])
 @pytest.mark.parametrize("excitation", [sweep, multisine, coloured, prbs])
 def test_an_input_measured_with_noise_is_a_false_alarm_as_rarely(excitation, noise):
@@ -102,6 +103,7 @@ def test_noise_that_is_fed_back_is_found_beside_a_few_steps(place):
     assert np.mean(probabilities(make, 40) < 0.01) >= 0.9
 
 
+@pytest.mark.long
 def test_dynamics_that_the_model_lacks_are_no_feedback():
     # rings over 2000 samples, far longer than the model's memory: correlated with past inputs, not with future ones
     ringing = np.poly([0.9995 * np.exp(0.1j), 0.9995 * np.exp(-0.1j), 0.97 * np.exp(1j), 0.97 * np.exp(-1j)]).real
@@ -113,6 +115,7 @@ def test_dynamics_that_the_model_lacks_are_no_feedback():
     assert np.mean(probabilities(make, 400) < 0.01) <= 0.025
 
 
+@pytest.mark.long
 def test_a_nonlinear_plant_under_noise_is_no_feedback():
     def make(rng):
         u = white(rng)
@@ -232,6 +235,7 @@ def test_what_cannot_be_told_is_not_told():
     assert not sine.found
 
 
+@pytest.mark.long
 def test_an_input_behind_an_anti_aliasing_filter_is_no_feedback_if_one_says_so():
     def make(rng):
         u = rng.standard_normal(10 * N)  # ten steps a sample

@@ -100,6 +100,7 @@ def test_the_right_structure_is_accepted(known):
     assert np.mean([found.chi2_per_dof for found in fits]) == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.long
 def test_p_values_of_the_right_structure_are_uniform():
     p = np.sort([found.p_value for found in repeated(ThirdOrder(), ARM, 0.02)])
     distance = np.abs(p - (np.arange(p.size) + 0.5) / p.size).max()

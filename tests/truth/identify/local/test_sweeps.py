@@ -49,6 +49,7 @@ def octaves(f_hz):
     return np.log2(f_hz[-1] / f_hz[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("seconds", [20.0, 60.0, 180.0])
 def test_the_band_that_a_sweep_crosses_once_is_valid_and_as_accurate_as_by_the_best_known_estimator(place, seconds):
@@ -82,6 +83,7 @@ def test_their_95_percent_circles_hold_that_share_of_errors(case):
     assert 0.925 < np.mean(shares) < 0.985
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_a_drift_as_large_as_the_answer_costs_at_most_the_end_of_the_band_and_no_intervals(place, both_ways):
@@ -123,6 +125,7 @@ def test_a_sweep_over_fewer_lines_than_a_window_is_refused():
         estimate_frf(recorded("plant_input", n, seed=0), LOOP)
 
 
+@pytest.mark.long
 def test_what_a_window_rounds_off_of_a_resonance_is_not_taken_for_noise_that_comes_with_the_sweep():
     # white noise of constant power: mean of squared errors over variances is nu/(nu - 2), a little above 1
     n = swept(60.0, spacing="linear")
@@ -138,6 +141,7 @@ def test_a_slow_linear_sweep_is_valid_from_where_it_starts():
     assert octaves(frf.frequency_hz[frf.trusted]) > 0.95 * np.log2(HIGH / LOW)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("both_ways", [False, True])
 def test_harmonics_of_a_nonlinear_machine_are_neither_plant_nor_noise(both_ways):
     # u + 0.2 u^2 - 0.3 u^3 in front of a known plant: a sine of amplitude 1 sees the plant times 1 - 3/4 0.3
@@ -219,12 +223,14 @@ NO_SWEEPS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("shape", NO_SWEEPS)
 def test_what_is_no_sweep_is_never_taken_for_one(shape):
     taken = [seed for seed in range(300) if is_sweep(NO_SWEEPS[shape](np.random.default_rng(seed)))]
     assert taken == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seconds", [20.0, 60.0])
 @pytest.mark.parametrize("case", CASES)
 def test_a_sweep_in_arrays_is_valid_over_its_band_and_as_accurate_as_by_the_best_known_estimator(case, seconds):

@@ -43,6 +43,7 @@ def test_with_small_errors_the_interval_holds_k_in_95_of_100(seed, error):
     assert np.sqrt(np.mean(np.abs(relative) ** 2)) == pytest.approx(np.median(one.relative_std), rel=0.06)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("freedom", [np.inf, 40.0, 10.0])
 @pytest.mark.parametrize("ratios", [(0.0, 0.0), (0.0, 10.0), (1.0, 1.0), (2.0, 10.0), (3.0, 10.0), (3.0, 100.0)])
 @pytest.mark.parametrize("direct", [6.0, 100.0])

@@ -18,6 +18,7 @@ EXCITATIONS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("kind", EXCITATIONS)
 def test_the_response_is_the_plants_within_its_own_standard_deviation(kind, place):

@@ -39,6 +39,7 @@ CASES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("modes", "controller", "most_db"), CASES)
 @pytest.mark.parametrize("required", [None, 3.0])
 def test_it_is_what_brute_force_finds(modes, controller, most_db, required):

@@ -35,6 +35,7 @@ def within_binomial(count: int, runs: int, share: float) -> bool:
     return bool(binom.ppf(0.001, runs, share) <= count <= binom.ppf(0.999, runs, share))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("relative", "kind"), [*((0.05, kind) for kind in KINDS), (0.02, KINDS[3]), (0.1, KINDS[3])])
 def test_a_plant_that_has_not_changed_is_contradicted_as_often_as_the_level_says(
     relative: float, kind: tuple[float, int, int]
@@ -75,6 +76,7 @@ def test_a_resonance_that_moved_is_noticed_where_it_is(relative: float) -> None:
     assert np.mean([w is not None and w.low_hz < 5.3 and w.high_hz > 4.7 for w in worst]) > 0.8
 
 
+@pytest.mark.long
 def test_what_would_be_noticed_is_noticed_four_times_in_five() -> None:
     noticed = again(0, 0.1, (1.0, 0, 1)).noticed_db
     changed = arm(kappa=1350.0 * 10.0 ** (noticed / 20.0))
@@ -124,6 +126,7 @@ def test_grids_that_share_lines_are_compared_on_these() -> None:
     assert (found.lines, found.notes) == (half.size, ())
 
 
+@pytest.mark.long
 def test_recordings_of_an_unchanged_loop_are_contradicted_one_time_in_twenty() -> None:
     """The whole way: multisines with noise, the plant estimated under one controller, S under the other."""
     runs, p = 100, []
@@ -191,6 +194,7 @@ def two_plants(seed, relative, gain=1.0):
     return drawn(G), drawn(gain * G)
 
 
+@pytest.mark.long
 def test_one_plant_measured_twice_differs_as_often_as_the_level_says():
     found = [compare_plants(*two_plants(seed, 0.05)) for seed in range(300)]
     assert within_binomial(sum(one.outcome == "did not hold" for one in found), 300, 0.05)

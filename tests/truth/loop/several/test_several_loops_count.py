@@ -104,6 +104,7 @@ def test_the_other_pairing_stands():
     assert closed_loops_stability(loops(F, bad_pair()[:, ::-1], controllers)).outcome == "stable"
 
 
+@pytest.mark.long
 def test_without_coupling_it_is_the_sum_of_the_single_counts():
     one = 60.0 / (S * (0.02 * S + 1.0) * (0.01 * S + 1.0))  # unstable at a gain above 2.5
     for gains, unstable in (((1.0, 1.0), 0), ((1.0, 4.0), 2), ((4.0, 4.0), 4)):
@@ -149,6 +150,7 @@ def test_undecided_where_integrators_are_not_known():
     assert "declare integrators" in undecided(F, pair_of(F), integrators=None).reason
 
 
+@pytest.mark.long
 def test_undecided_where_noise_covers_the_limit_and_not_beside_it():
     G = np.array([[1.0, 0.3], [-0.2, 1.0]]) * (60.0 / (S * (0.02 * S + 1.0) * (0.01 * S + 1.0)))[:, None, None]
     near = [gain("a", 1.05 * 1.4885), gain("b", 1.05 * 1.4885)]  # unstable from 1.4885 on

@@ -67,6 +67,7 @@ def elements(s):
     return np.stack(parts, axis=1).reshape(-1, 2, 2)
 
 
+@pytest.mark.long
 def test_intervals_hold_what_lies_between_lines_where_there_is_almost_no_noise():
     dense = np.linspace(0.1, 11.0, 100_000)
     sensitivity = np.linalg.inv(np.eye(2) + 0.55 * elements(1j * TWO_PI * dense))

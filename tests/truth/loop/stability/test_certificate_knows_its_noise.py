@@ -75,6 +75,7 @@ def test_the_band_to_measure_is_where_minus_one_is_covered():
     assert found.band_hz[1] < 2.0 * at_hz
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise", [0.02, 0.03, 0.05, 0.1])
 def test_a_start_on_the_real_axis_is_as_unsure_as_the_first_line(noise):
     # k/(s/a - 1) with L(0) = -0.98 is unstable; noise on the first line may show -1.02

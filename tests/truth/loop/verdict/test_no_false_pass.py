@@ -218,6 +218,7 @@ def exact(P, f, f_hz):
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NARROW)
 def test_intervals_know_the_gap_between_two_lines(name):
     P, f, f_hz = NARROW[name]
@@ -249,6 +250,7 @@ def smallest(f):
     return np.linalg.svd(np.eye(3) + flexible(f), compute_uv=False)[:, -1]
 
 
+@pytest.mark.long
 def test_three_loops_with_narrow_modes_are_read_between_the_lines():
     f = np.geomspace(0.5, 120.0, 400)
     dense = np.unique(np.concatenate([f, *(np.linspace(0.96, 1.04, 4000) * f_hz for f_hz, _, _ in MODES)]))

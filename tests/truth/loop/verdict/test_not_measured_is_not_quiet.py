@@ -67,6 +67,7 @@ def test_a_mode_above_a_poor_band_bounds_the_gain_margin_as_it_was_measured():
     assert only(under_gain(P, gain_margin_db=6.0, **asked)).gain_margin_db < true_db + 0.2
 
 
+@pytest.mark.long
 def test_a_distance_known_worse_than_to_half_has_an_interval_as_wide_as_the_errors():
     """|1 + L| is 9e-4 at its least and each line errs by 3e-3: no draw of noise leaves a hundredth of that sure."""
 

@@ -71,6 +71,7 @@ def trajectory(reference, name, steps):
     return angle, pressure, control
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["open2", "closed2"])
 def test_trajectories_agree_to_what_the_step_explains(reference, name):
     one, twenty = (trajectory(reference, name, steps) for steps in (1, 20))

@@ -159,6 +159,7 @@ def delay(text, attribute, late_s):
     return plain, stepped(text, signal=lambda q, v, effort, t: 2.0 * np.interp(t - late_s, TIMES, command()) - effort)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", CASES)
 def test_a_patched_mjcf_steps_as_predicted_and_as_one_written_by_hand(case):
     moves, other, tolerance = CASES[case]
@@ -194,6 +195,7 @@ def test_a_patched_mjcf_is_late_as_predicted():
     assert not fixed.left_to_you
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", ["payload", "length", "viscous"])
 def test_a_patched_mjcf_read_again_is_the_machine_that_was_predicted(case):
     moves, _, _ = CASES[case]
@@ -307,6 +309,7 @@ def test_a_model_that_scales_its_masses_is_not_patched_but_said_to_be_left():
 INERTIAL = '<inertial pos="0.01 0 -0.1" mass="0.3" diaginertia="6e-3 5.8e-3 4e-4" euler="0.2 0.1 0"/>'
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("payload", [0.1, -0.05])
 @pytest.mark.parametrize("inertial", ["", INERTIAL])
 def test_a_payload_stands_in_the_inertia_of_a_body_that_states_it_and_may_be_less_than_nothing(payload, inertial):
@@ -377,6 +380,7 @@ def around(text, *, sub=4):
     return np.array(out)[:, None]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", FORMS)
 def test_every_form_of_the_catalogue_as_a_function_moves_a_right_hand_side_as_predicted(name):
     form = FORMS[name]

@@ -77,6 +77,7 @@ def test_the_next_recording_is_the_one_that_shows_what_two_hypotheses_differ_in(
     assert small < 0.3 * alike
 
 
+@pytest.mark.long
 def test_models_that_are_alike_are_not_separated():
     plant = OwnMachine(own_machine.MODEL)
     found = repeat(plant, run(), run().recordings[:1], ("one", {}), ("other", {"port.bearing.offset": 0.0}))
@@ -144,6 +145,7 @@ def scaled(factors):
     return replace(run(), recordings=tuple(changed(r) for r in run().recordings))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("factors", "words"),
     [

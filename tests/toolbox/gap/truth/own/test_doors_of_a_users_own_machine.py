@@ -57,6 +57,7 @@ def checked(run, model=FAST):
     return plant.readied(run, [r.info.name for r in run.recordings if r.info.role == "estimation"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("factor", [DEG, 1.0 / DEG, 1000.0, 1e-3, 2.0 * np.pi, -1.0])
 @pytest.mark.parametrize("column", ["torque_nm", "lever_rad"])
 def test_a_column_wrong_by_a_plain_factor_is_named_with_its_factor_and_key(column, factor):
@@ -68,6 +69,7 @@ def test_a_column_wrong_by_a_plain_factor_is_named_with_its_factor_and_key(colum
     assert "model.toml" in text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "wrong", [{"inertia": 0.5}, {"inertia": 2.0}, {"damping": 4.0}, {"damping": 0.0}, {"spring": 2.0}, {"weight": 0.0}]
 )
@@ -76,6 +78,7 @@ def test_no_wrong_parameter_is_a_slip_of_units(wrong):
     checked(winch(), replace(FAST, parameters=tuple(own)))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("column", "factor"), [("torque_nm", 1.5), ("torque_nm", 0.5), ("lever_rad", 2.0),
                                                 ("lever_rad", 0.6), ("torque_nm", 4.0)])  # fmt: skip
 def test_a_gain_that_a_parameter_may_make_is_left_to_the_diagnosis(column, factor):
@@ -266,6 +269,7 @@ def test_model_toml_says_what_schedules_and_where_a_zero_is(tmp_path):
     assert own.outputs[0].offset == 1.5
 
 
+@pytest.mark.long
 def test_a_zero_that_is_a_quarter_turn_off_is_named_and_offset_cures_it():
     wrong = spoiled(swing(), ["angle_rad"], shift=-0.5 * np.pi)
     with pytest.raises(
@@ -404,6 +408,7 @@ def topple(t, x, u, p):
     return x[1], 30.0 * x[0] + 5.0 * x[0] ** 3 + p.gain * u[0] * (1.0 + 1e3 * abs(x[0]))
 
 
+@pytest.mark.long
 def test_a_push_under_which_a_window_runs_away_tells_no_size():
     balance = replace(
         PENDULUM,
