@@ -34,8 +34,8 @@ from loopshape.design.problem.problem import Problem, problem
 from loopshape.design.problem.rows import Tighten
 from loopshape.design.problem.shifts import Copy, closer, judged, shifted_loops
 from loopshape.design.search import Goal, begin, search, step_within
-from loopshape.design.settle import Judge, Settled, settle
 from loopshape.design.starts import leaps, random_starts
+from loopshape.design.tighten import Judge, Settled, settle
 from loopshape.loop.margin.error_rms import error_warnings, of_points
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings

@@ -22,7 +22,7 @@ from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.rows import Tighten, in_rows, spare_of, wished
 from loopshape.design.search import Found, Goal, begin, search
-from loopshape.design.settle import Judge, Settled, least_rooms, settle
+from loopshape.design.tighten import Judge, Settled, least_rooms, settle
 
 #: searches for the least miss begin at this many of the race's ends, and take this many steps at most
 ENDS, STEPS = 3, 150

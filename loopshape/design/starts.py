@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.core.kernels.loops import margins as columns
-from loopshape.core.kernels.loops.glance import Glanced, glance
+from loopshape.core.kernels.loops.quick_evaluate import Glanced, glance
 from loopshape.core.units import Array
 from loopshape.data.control.block import BlockTemplate, Free
 from loopshape.data.requirement.requirements import LIMIT_OF
@@ -23,8 +23,8 @@ from loopshape.design.problem.measures import low_weights
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import scaled
 from loopshape.design.search import LARGEST, PENALTY, Found, begin, search
-from loopshape.design.settle import Judge, Settled, settle
 from loopshape.design.structure import variables_of
+from loopshape.design.tighten import Judge, Settled, settle
 from loopshape.loop.margin.margins import LOGARITHMS, PLAIN
 
 #: steps that a search is given in the race's three heats, and after a leap; a leap that comes this near goes on

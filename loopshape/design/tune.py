@@ -35,8 +35,8 @@ from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.shifts import copies_for
 from loopshape.design.relax import Shortfall, shortfall
 from loopshape.design.search import Found, begin
-from loopshape.design.settle import Judge, Settled, norm
 from loopshape.design.starts import raced, random_starts, settled
+from loopshape.design.tighten import Judge, Settled, norm
 from loopshape.loop.verdict import loops_of, refuse_too_high
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import Array
 from loopshape.io.files import reading, short
-from loopshape.io.growth import Bounded
+from loopshape.io.size_limit import Bounded
 
 if TYPE_CHECKING:
     import pandas as pd

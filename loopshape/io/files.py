@@ -21,7 +21,7 @@ from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.json_ready import json_ready
-from loopshape.io.seen import look, own, refuse_changed
+from loopshape.io.input_guard import look, own, refuse_changed
 from loopshape.io.toml_text import toml_text
 
 PART = ".part"  # ending of a file that is still being written

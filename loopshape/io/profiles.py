@@ -9,7 +9,7 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.requirement.profile import Profile, Zone
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.io.words import Words, read_words, refuse_doubles, said_in
+from loopshape.io.config_table import Words, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-profiles/1"
 #: the file that comes with the package

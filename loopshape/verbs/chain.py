@@ -23,8 +23,8 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
+from loopshape.verbs.arguments import Plants, controller_of, met, plants_of
 from loopshape.verbs.files import read
-from loopshape.verbs.given import Plants, controller_of, met, plants_of
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:

@@ -217,7 +217,7 @@ def write_report(
 ) -> tuple[RunReport, int]:
     """Write a run's report; gives what it holds, and its size in bytes. The date is now where none is given."""
     from loopshape.io.files import write_bytes_whole
-    from loopshape.io.run.gathered import gather
+    from loopshape.io.run.report_inputs import gather
     from loopshape.view.html.page import page
 
     limit = figure_bytes(figures_mb)

@@ -16,7 +16,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction
 from loopshape.data.result.verdict_words import outcome_of, page_text
 from loopshape.design.tune import Tuning
-from loopshape.io.held import held
+from loopshape.io.folder_lock import held
 from loopshape.io.profiles import joined, profile_of
 from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers

@@ -52,7 +52,7 @@ def session(command: Callable[[], object], complain: Callable[[object], None]) -
     """
     from loopshape.core.errors import LoopshapeError
     from loopshape.io.files import remove_own_parts
-    from loopshape.io.seen import noting, refuse_changed
+    from loopshape.io.input_guard import noting, refuse_changed
 
     try:
         with noting(), ended_soon(INTERRUPTED, remove_own_parts):

@@ -57,8 +57,8 @@ class ShapeServer:
 
     def _mark(self) -> str:
         """What tells the content of Save's file from any other, "none" where there is no file."""
+        from loopshape.io.input_guard import own
         from loopshape.io.provenance import file_sha256
-        from loopshape.io.seen import own
 
         own(self.save_to)  # that another writes it is what this is for, and ends no command
         found = file_sha256(self.save_to) if self.save_to.exists() else "none"
@@ -127,7 +127,7 @@ class ShapeServer:
 
     def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.io.files import make_folder
-        from loopshape.io.held import held
+        from loopshape.io.folder_lock import held
         from loopshape.io.write.controllers import write_controllers
 
         mine = controller_from(asked["controller"])

@@ -12,7 +12,7 @@ from unittest import mock
 from typer.testing import CliRunner, Result
 
 from loopshape.cli import main
-from loopshape.io import seen
+from loopshape.io import input_guard
 
 ROOT = Path(__file__).parents[2]
 
@@ -46,5 +46,5 @@ def invoked(words: Sequence[object], **settings: object) -> Result:
 @contextmanager
 def _nothing_read_yet() -> Iterator[None]:
     """A process of its own has read no file and holds no folder yet."""
-    with mock.patch.object(seen, "_noted", None), mock.patch.object(seen, "_alone", 0):
+    with mock.patch.object(input_guard, "_noted", None), mock.patch.object(input_guard, "_alone", 0):
         yield

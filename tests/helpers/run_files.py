@@ -2,8 +2,8 @@
 
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import read_json, read_toml, write_json, write_text_whole, write_toml
-from loopshape.io.run.gathered import gather
 from loopshape.io.run.journal import read_journal
+from loopshape.io.run.report_inputs import gather
 from loopshape.io.run.run_folder import add_recording, check_recordings, finished, start_run, write_run
 from loopshape.io.run.verify import verify
 from loopshape.io.write.controllers import write_controllers

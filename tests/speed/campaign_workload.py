@@ -35,7 +35,7 @@ import sys, time
 from pathlib import Path
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig import registry
-from loopshape.toolbox.campaign.many import Job, done
+from loopshape.toolbox.campaign.parallel import Job, done
 from loopshape.toolbox.rig.simulated import listed
 study = read_study(Path(sys.argv[1]))
 plant = registry.plant(study.plant)

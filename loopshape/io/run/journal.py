@@ -15,7 +15,7 @@ from typing import Any
 
 from loopshape.core.json_ready import json_ready
 from loopshape.io.files import reading, write_all, writing
-from loopshape.io.seen import own
+from loopshape.io.input_guard import own
 
 FILE = "journal.jsonl"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a line is never written elsewhere

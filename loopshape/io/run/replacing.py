@@ -10,12 +10,12 @@ from pathlib import Path
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.interrupts import undivided
 from loopshape.data.signal.run import Run
+from loopshape.io.config_table import Words
 from loopshape.io.files import make_folder, plain_name, short, staged
-from loopshape.io.held import held
+from loopshape.io.folder_lock import held
+from loopshape.io.input_guard import own
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.run_folder import RUN_TOML, has_run, read_run_words, refuse_foreign, write_run
-from loopshape.io.seen import own
-from loopshape.io.words import Words
 
 INDEX = "index.csv"
 

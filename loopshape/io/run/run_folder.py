@@ -20,18 +20,18 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.stretches import LongSignal, Signal, equal
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
+from loopshape.io.config_table import Words, read_words, refuse_doubles
 from loopshape.io.files import PART, inside, leave_memory, make_folder, reading, remove_part, short, write_toml
-from loopshape.io.held import alone as alone
-from loopshape.io.held import held, hold_of
+from loopshape.io.folder_lock import alone as alone
+from loopshape.io.folder_lock import held, hold_of
 from loopshape.io.provenance import KEY, file_sha256, versions
-from loopshape.io.run.arriving import ARRIVING, EARLIER, next_earlier
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.journal import note, note_all, read_journal
 from loopshape.io.run.run_signals import check_recordings as check_recordings
 from loopshape.io.run.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
+from loopshape.io.run.stream_log import ARRIVING, EARLIER, next_earlier
 from loopshape.io.run.tables import TIME, TableColumns, check_rate, fill_table, read_about
 from loopshape.io.toml_text import toml_text
-from loopshape.io.words import Words, read_words, refuse_doubles
 
 FORMAT = "loopshape-run/1"
 RUN_TOML = "run.toml"

@@ -13,9 +13,9 @@ from loopshape.data.control.gain_scheduled import LAG_S, Follows, GainScheduled,
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES, LoopSetup, Told, shared_unit
 from loopshape.data.signal.recording import RecordingInfo
+from loopshape.io.config_table import Words, refuse_doubles, said_in
 from loopshape.io.files import plain_name
 from loopshape.io.run.tables import check_ending
-from loopshape.io.words import Words, refuse_doubles, said_in
 
 #: keys of a controller's table, beside the name of its loop
 CONTROLLER_KEYS = ("discretisation", "prewarp_hz", "computation_delay_s", "added_hold", "precision", "controller")

@@ -20,9 +20,9 @@ from loopshape.core.stretches import AT_ONCE, LONG, LongSignal, Signal, stretche
 from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_names, read_csv_table
 from loopshape.io.files import fill, reading, short
-from loopshape.io.growth import check_growth
+from loopshape.io.input_guard import State, refuse, state_of
 from loopshape.io.provenance import file_hash
-from loopshape.io.seen import State, refuse, state_of
+from loopshape.io.size_limit import check_growth
 from loopshape.io.stamps import check_rate
 
 ENDINGS = (".parquet", ".csv", ".csv.gz")

@@ -10,6 +10,7 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.io.config_table import Words, read_words, refuse_doubles
 from loopshape.io.files import write_toml
 from loopshape.io.run.run_tables import (
     CONTROLLER_KEYS,
@@ -19,7 +20,6 @@ from loopshape.io.run.run_tables import (
     read_schedule,
     schedule_table,
 )
-from loopshape.io.words import Words, read_words, refuse_doubles
 
 FORMAT = "loopshape-controllers/1"
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.data.response.frf import FRF
+from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import write_text_whole
-from loopshape.io.words import refuse_doubles
 from loopshape.io.write.frf_words import frf_header
 
 FORMAT = "loopshape-frf-csv/1"

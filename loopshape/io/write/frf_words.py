@@ -10,9 +10,9 @@ from loopshape.core.errors import UnreadableInputError
 from loopshape.core.json_ready import json_ready
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF, Hold
+from loopshape.io.config_table import Words
 from loopshape.io.files import short
 from loopshape.io.run.run_tables import controller_table, read_controller
-from loopshape.io.words import Words
 
 ARRAYS = ("frequency_hz", "response", "covariance", "trusted")
 PERHAPS = (

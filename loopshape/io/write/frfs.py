@@ -12,12 +12,12 @@ from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.run import Run
+from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import inside, make_folder, reading, write_whole
-from loopshape.io.growth import check_zip
-from loopshape.io.held import held
+from loopshape.io.folder_lock import held
+from loopshape.io.input_guard import own
 from loopshape.io.run.run_folder import excited_names, has_run, marks_as_read, read_run
-from loopshape.io.seen import own
-from loopshape.io.words import refuse_doubles
+from loopshape.io.size_limit import check_zip
 from loopshape.io.write.frf_csv import frf_csv as frf_csv  # tables for people stand beside the FRFs
 from loopshape.io.write.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
-from loopshape.io.words import Words, is_number, read_words, refuse_doubles, said_in
+from loopshape.io.config_table import Words, is_number, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-requirements/1"
 

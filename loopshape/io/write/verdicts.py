@@ -13,9 +13,9 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.requirement.requirements import Margins
 from loopshape.data.result.baseline import RANK, Checked
 from loopshape.data.result.verdict import Line, Verdict
+from loopshape.io.config_table import Words, refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
 from loopshape.io.run.run_tables import controller_table, read_controller
-from loopshape.io.words import Words, refuse_doubles
 
 FORMAT = "loopshape-verdict/1"
 _KEYS = {"loop", "outcome", "controller", "data", "lines", "margins", "warnings"}

@@ -19,7 +19,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.smoothing import SEED, drawn_errors
-from loopshape.loop.stability.crowded import Crowd
+from loopshape.loop.stability.mode_clusters import Crowd
 from loopshape.loop.stability.sampling import SHARPEST, HiddenPole
 
 #: draws of the errors of lines that were not smoothed

@@ -19,8 +19,8 @@ from loopshape.loop.margin.between import (
     turns_past_crowd,
     without_narrow,
 )
-from loopshape.loop.stability.crowded import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
 from loopshape.loop.stability.holes import hole
+from loopshape.loop.stability.mode_clusters import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
 
 #: a count is not given where the chance that the lines' errors make it wrong is above this

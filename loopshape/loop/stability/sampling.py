@@ -15,7 +15,7 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.identify.smooth.pole_terms import CAREFUL, ROUNDED
-from loopshape.loop.stability.crowded import SHARPEST, UNEXACT
+from loopshape.loop.stability.mode_clusters import SHARPEST, UNEXACT
 from loopshape.loop.stability.windows import HALF, LEFT, Windows, windows_of
 
 #: chance of a pole where there is none, over all gaps of a record

@@ -19,10 +19,10 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
+from loopshape.io.config_table import read_words
 from loopshape.io.files import PART, inside, reading, short, write_text_whole, write_whole
-from loopshape.io.held import alone
+from loopshape.io.folder_lock import alone
 from loopshape.io.run.replacing import INDEX
-from loopshape.io.words import read_words
 from loopshape.toolbox.campaign.machines import Campaign, Machine, Part
 from loopshape.toolbox.rig.files.study import read_study
 

@@ -17,7 +17,7 @@ from loopshape.verbs.watch import Unwatched, Watch
 if TYPE_CHECKING:
     from loopshape.data.signal.run import Run
     from loopshape.toolbox.campaign.machines import Campaign, Machine
-    from loopshape.toolbox.campaign.many import Job
+    from loopshape.toolbox.campaign.parallel import Job
     from loopshape.toolbox.rig.simulated import Rig
     from loopshape.toolbox.rig.study import Study
 
@@ -43,7 +43,7 @@ def campaign(
     """
     from loopshape.io.files import make_folder
     from loopshape.io.run.run_folder import alone
-    from loopshape.toolbox.campaign.many import check_workers
+    from loopshape.toolbox.campaign.parallel import check_workers
 
     check_workers(workers)
     planned = _planned(Path(file))
@@ -111,7 +111,7 @@ def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str 
     """Make what is missing of a campaign or a part of it; workers write tables, and the runs are told of them here."""
     from loopshape.io.run.run_folder import refuse_other, sweep
     from loopshape.toolbox.campaign.files import index_of
-    from loopshape.toolbox.campaign.many import carried_out
+    from loopshape.toolbox.campaign.parallel import carried_out
 
     write_index, there = index_of(out, planned.machines), {path.name for path in out.iterdir()}
     for one in planned.machines:
@@ -172,7 +172,7 @@ class _Naming:
 def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str]) -> Iterator[Job]:
     """What is missing of the recordings with the numbers `wanted`; notes of which machines."""
     from loopshape.io.run.run_folder import finished, start_run
-    from loopshape.toolbox.campaign.many import Job
+    from loopshape.toolbox.campaign.parallel import Job
     from loopshape.toolbox.rig.simulated import listed
 
     count = len(planned.names)
@@ -199,7 +199,7 @@ def _make(out: Path, plant: Rig, origin: Mapping[str, Any], job: Job) -> Callabl
     from loopshape.core.errors import RigError
     from loopshape.io.run.run_folder import fill_unlisted, read_unlisted
     from loopshape.toolbox.campaign.files import INDEX
-    from loopshape.toolbox.campaign.many import done
+    from loopshape.toolbox.campaign.parallel import done
 
     if not (out / INDEX).is_file():
         raise RigError(

@@ -9,8 +9,8 @@ from typing import Any
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.operations import channels
 from loopshape.data.response.frf import FRF
+from loopshape.io.config_table import Words, read_words
 from loopshape.io.run.run_tables import CONTROLLER_KEYS, read_controller
-from loopshape.io.words import Words, read_words
 from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
 

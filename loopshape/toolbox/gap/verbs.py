@@ -40,7 +40,7 @@ def gap(
     zero, and for a baseline of other columns or another rate. A file of the model that changes meanwhile is told in the
     notes: the answer is of the model as it was read.
     """
-    from loopshape.io.seen import changed, read_once
+    from loopshape.io.input_guard import changed, read_once
     from loopshape.toolbox.gap.diagnose.diagnose import diagnose
 
     whole = run if isinstance(run, Run) else read(run)

@@ -11,7 +11,7 @@ from loopshape.data.control.shorthand import bounded
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.model import Fit
 from loopshape.design.tune import Tuning
-from loopshape.verbs.given import Plants, controller_of, met
+from loopshape.verbs.arguments import Plants, controller_of, met
 
 if TYPE_CHECKING:
     from loopshape.toolbox.limits.bound import Bound

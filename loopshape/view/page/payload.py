@@ -36,8 +36,8 @@ from loopshape.loop.margin import between, margins
 from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
-from loopshape.loop.stability.crowded import Left, Stretch
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
+from loopshape.loop.stability.mode_clusters import Left, Stretch
 from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 

@@ -5,7 +5,7 @@ import pytest
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, problem_of, servos, wished
 
 import loopshape as ls
-from loopshape.core.kernels.loops.glance import glance
+from loopshape.core.kernels.loops.quick_evaluate import glance
 from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear

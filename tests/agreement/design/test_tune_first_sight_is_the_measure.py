@@ -6,7 +6,7 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, s
 
 from loopshape.core.kernels.loops.encirclements import NO_FIT, count_unstable
 from loopshape.core.kernels.loops.flat_loops import mark_peaks, series
-from loopshape.core.kernels.loops.glance import glance
+from loopshape.core.kernels.loops.quick_evaluate import glance
 from loopshape.data.control.block import series_response
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import begin

@@ -142,7 +142,7 @@ def test_a_worker_that_is_killed_loses_its_own_unfinished_table_alone(campaign, 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc to find the workers")
 def test_a_recording_that_ends_every_worker_ends_in_a_sentence(campaign):
-    from loopshape.toolbox.campaign.many import carried_out
+    from loopshape.toolbox.campaign.parallel import carried_out
 
     with pytest.raises(ls.errors.RigError, match="a worker process ended unasked"):
         list(carried_out(os._exit, [7], 1))
@@ -249,7 +249,7 @@ def test_a_bare_name_is_a_usual_magnitude_and_sets_are_joined(campaign):
 
 @pytest.mark.long
 def test_a_cluster_that_is_not_there_is_said():
-    from loopshape.toolbox.campaign.many import carried_out
+    from loopshape.toolbox.campaign.parallel import carried_out
 
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
     with pytest.raises(ls.errors.RigError, match="no cluster answers there"):

@@ -20,13 +20,13 @@ from simulated_machines import Arm1, read_study
 import loopshape as ls
 from loopshape.data.signal.multisine import Multisine
 from loopshape.io.csv_text import read_csv_table
-from loopshape.io.held import alone
+from loopshape.io.folder_lock import alone
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.replacing import replace_run
 from loopshape.toolbox.campaign import processes
 from loopshape.toolbox.campaign.files import write_index
 from loopshape.toolbox.campaign.machines import Campaign
-from loopshape.toolbox.campaign.many import carried_out
+from loopshape.toolbox.campaign.parallel import carried_out
 from loopshape.toolbox.formats.controllers.excitation_export import export_signals
 
 RATE = 100.0

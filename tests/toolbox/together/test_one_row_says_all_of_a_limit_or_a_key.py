@@ -14,8 +14,8 @@ import loopshape as ls
 from loopshape.data.requirement.limits_over import MASKED
 from loopshape.data.signal.experiment import Told
 from loopshape.design.structure import NEAR
+from loopshape.io.config_table import Words
 from loopshape.io.run.run_tables import INFO, TOLD, read_recording, recording_table
-from loopshape.io.words import Words
 from loopshape.loop.points import CLOSENESS
 from loopshape.toolbox.limits.bound_nodes import COUNTED, counted
 from loopshape.toolbox.rig.files.study import _EXPERIMENT_KEYS

@@ -7,7 +7,7 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_o
 import loopshape as ls
 from loopshape.design.problem.measures import measure
 from loopshape.design.search import Goal, begin, search
-from loopshape.design.settle import allowances, settle
+from loopshape.design.tighten import allowances, settle
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
 BLOCKS = (GAIN, LEAD, PI, NOTCH, LOW_PASS)

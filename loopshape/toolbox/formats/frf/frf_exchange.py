@@ -11,10 +11,10 @@ import numpy as np
 from loopshape.core.errors import UnreadableInputError, WrongUseError, refuse_unknown
 from loopshape.data.algebra.operations import negated, without_controller
 from loopshape.data.response.frf import FRF
+from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import PART, inside, make_folder, plain_name, put, staged, writing
-from loopshape.io.held import held
+from loopshape.io.folder_lock import held
 from loopshape.io.run.run_folder import RUN_TOML
-from loopshape.io.words import refuse_doubles
 from loopshape.io.write.frf_csv import frf_csv
 from loopshape.io.write.frf_words import frf_arrays
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs, write_frfs

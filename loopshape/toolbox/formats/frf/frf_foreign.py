@@ -19,8 +19,8 @@ from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import check_relative_std, independent, valid_frequencies, variance_by_coherence
+from loopshape.io.config_table import said_in
 from loopshape.io.files import plain_name, short
-from loopshape.io.words import said_in
 from loopshape.io.write.frf_words import PERHAPS, frf_words
 
 

@@ -12,7 +12,7 @@ from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError
 from loopshape.data.response.frf import FRF
 from loopshape.io.files import reading, short, write_whole
-from loopshape.io.growth import check_growth
+from loopshape.io.size_limit import check_growth
 from loopshape.io.write.frf_words import PERHAPS, frf_arrays, frf_header
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 

@@ -19,7 +19,7 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, UnreadableInputError
 from loopshape.core.units import Array
 from loopshape.io.files import reading, short
-from loopshape.io.growth import check_growth
+from loopshape.io.size_limit import check_growth
 
 _INFO = ("meta", "info.json")
 _ABOVE = 3  # folders above a file in which info.json is looked for

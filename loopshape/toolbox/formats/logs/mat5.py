@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.io.growth import inflated
+from loopshape.io.size_limit import inflated
 from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, Found, Handle, Node, Thing, is_model
 from loopshape.toolbox.formats.logs.mcos import Objects, handle_of
 

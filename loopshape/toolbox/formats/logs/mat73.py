@@ -14,7 +14,7 @@ import numpy as np
 from loopshape.core.stretches import LONG, LongSignal
 from loopshape.core.units import Array
 from loopshape.io.files import reading
-from loopshape.io.growth import check_growth
+from loopshape.io.size_limit import check_growth
 from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, Found, Node, Thing, is_model
 from loopshape.toolbox.formats.logs.mcos import Objects, handle_of
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.io.files import reading
-from loopshape.io.growth import most_bytes
+from loopshape.io.size_limit import most_bytes
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF, Arrays
 
 _PER_S = 1e9  # stamps count nanoseconds

@@ -15,7 +15,7 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.io.files import reading
-from loopshape.io.growth import check_growth
+from loopshape.io.size_limit import check_growth
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
 _PER_S = 1e6  # stamps count microseconds

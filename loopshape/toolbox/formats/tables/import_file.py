@@ -14,10 +14,10 @@ from loopshape.core.stretches import LongColumns, LongSignal, Signal, stretches
 from loopshape.core.units import Array
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
+from loopshape.io.config_table import said_in
 from loopshape.io.files import short
 from loopshape.io.run.tables import TIME
 from loopshape.io.stamps import ON_GRID, Stamps, check_rate, read_stamps
-from loopshape.io.words import said_in
 from loopshape.toolbox.formats.tables.import_map import ColumnRule, ImportMap, read_map
 from loopshape.toolbox.formats.tables.made_columns import make_columns
 from loopshape.toolbox.formats.tables.sources import Source, open_source

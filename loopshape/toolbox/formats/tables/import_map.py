@@ -52,11 +52,11 @@ from loopshape.core.units import SUFFIXES, to_stored
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
+from loopshape.io.config_table import Words, read_words, said_in
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import plain_name, short
 from loopshape.io.run.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
 from loopshape.io.run.tables import TIME
-from loopshape.io.words import Words, read_words, said_in
 from loopshape.toolbox.formats.tables.made_columns import MadeRule, check_made, made_of_loops, read_made
 from loopshape.toolbox.formats.tables.sources import Place
 

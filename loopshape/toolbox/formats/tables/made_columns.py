@@ -23,7 +23,7 @@ from loopshape.core.units import SUFFIXES
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import LoopSetup
-from loopshape.io.words import Words
+from loopshape.io.config_table import Words
 
 _TERM = re.compile(r"\s*([+-]?)\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*\*?\s*)?([A-Za-z_]\w*)")
 _SIGNALS = ("reference", "injected", "control", "output")

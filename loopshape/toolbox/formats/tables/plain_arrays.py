@@ -11,7 +11,7 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.io.files import reading
-from loopshape.io.growth import most_bytes
+from loopshape.io.size_limit import most_bytes
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
 _LONGEST_JSON = 512 * 1024 * 1024  # bytes

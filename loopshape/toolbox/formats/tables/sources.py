@@ -16,8 +16,8 @@ from loopshape.core.toolboxes import found, function_at
 from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, csv_stretches, read_csv_table
 from loopshape.io.files import reading, short
-from loopshape.io.growth import check_zip
 from loopshape.io.run.tables import TableColumns
+from loopshape.io.size_limit import check_zip
 from loopshape.toolbox.formats.frf.frf_uff import read_uff_histories, uff_units
 from loopshape.toolbox.formats.logs.blackbox import rates_in_deg, read_blackbox
 from loopshape.toolbox.formats.logs.dataflash import read_dataflash

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
+from loopshape.io.config_table import Words, read_words, said_in
 from loopshape.io.files import clear, inside, part_of, reading, short
-from loopshape.io.growth import check_zip
-from loopshape.io.words import Words, read_words, said_in
+from loopshape.io.size_limit import check_zip
 from loopshape.toolbox.gap.nouns.axis import axis
 from loopshape.toolbox.gap.nouns.machine import (
     LAW,

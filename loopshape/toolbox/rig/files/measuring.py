@@ -10,7 +10,7 @@ from pathlib import Path
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.io.files import read_json, short, write_json
-from loopshape.io.held import is_held
+from loopshape.io.folder_lock import is_held
 
 MARK = ".measuring.json"
 _BOOT = Path("/proc/sys/kernel/random/boot_id")

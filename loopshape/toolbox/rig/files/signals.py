@@ -32,7 +32,7 @@ from loopshape.data.signal.excitation import (
     Sweep,
 )
 from loopshape.data.signal.excitation_sets import LOOP_STEP
-from loopshape.io.words import Words, said_in
+from loopshape.io.config_table import Words, said_in
 from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {

@@ -48,10 +48,10 @@ from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.signal.excitation import Excitation
 from loopshape.data.signal.excitation_sets import together
 from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES
+from loopshape.io.config_table import Words, read_words, refuse_doubles, said_in
 from loopshape.io.files import inside, plain_name
 from loopshape.io.provenance import file_sha256
 from loopshape.io.run.run_tables import SCHEDULE_KEYS, TOLD, read_blocks, read_decoupling, read_loops, read_schedule
-from loopshape.io.words import Words, read_words, refuse_doubles, said_in
 from loopshape.toolbox.learning.files import read_feedforward
 from loopshape.toolbox.rig.files.signals import read_excitation, read_excitations, read_setpoints
 from loopshape.toolbox.rig.files.target import read_target

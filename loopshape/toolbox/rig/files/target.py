@@ -25,7 +25,7 @@ from math import inf
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
-from loopshape.io.words import Words, said_in
+from loopshape.io.config_table import Words, said_in
 from loopshape.toolbox.rig.files.signals import KEY_UNITS
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 

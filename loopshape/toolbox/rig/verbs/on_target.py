@@ -16,10 +16,10 @@ from loopshape.data.result.baseline import Checked
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
-from loopshape.io.run.arriving import adopted, arriving, keep_arrived
 from loopshape.io.run.journal import note
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.run.run_tables import recording_table
+from loopshape.io.run.stream_log import adopted, arriving, keep_arrived
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.toolbox.rig.files.measuring import marked
 from loopshape.toolbox.rig.settings import Limit, TargetSettings

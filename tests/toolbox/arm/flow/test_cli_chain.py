@@ -331,7 +331,7 @@ def test_a_saturated_pwm_is_said(tmp_path: Path) -> None:
 
 
 def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
-    from loopshape.io.held import alone, held
+    from loopshape.io.folder_lock import alone, held
 
     holds = (
         "import sys; from pathlib import Path; from loopshape.io.run.run_folder import alone\n"

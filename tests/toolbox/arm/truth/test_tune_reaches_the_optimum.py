@@ -13,7 +13,7 @@ from source_controllers import angle_controller
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.design.search import LARGEST, begin, search
-from loopshape.design.settle import settle
+from loopshape.design.tighten import settle
 from loopshape.loop.verdict import loops_of, verdict_on
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))

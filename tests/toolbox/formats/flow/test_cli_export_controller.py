@@ -13,8 +13,8 @@ from scipy import signal
 from typer.testing import CliRunner
 
 import loopshape as ls
+from loopshape.io.config_table import Words
 from loopshape.io.run.run_tables import loop_table, read_loop
-from loopshape.io.words import Words
 from loopshape.io.write.frf_words import frf_header, frf_words
 from loopshape.toolbox.formats.commands.export import export_controller
 from loopshape.toolbox.formats.controllers.controller_words import comment, identifier

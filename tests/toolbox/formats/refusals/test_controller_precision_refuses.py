@@ -8,8 +8,8 @@ import pytest
 from bench_nouns import Block, LoopSetup, step
 
 import loopshape as ls
+from loopshape.io.config_table import Words
 from loopshape.io.run.run_tables import loop_table, read_loop
-from loopshape.io.words import Words
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 
 GAIN = Block("gain", {"gain": 1.0})

@@ -12,7 +12,7 @@ import loopshape as ls
 from loopshape.cli.estimate.figures import figures
 from loopshape.cli.output import Output
 from loopshape.cli.verify.check import check_run
-from loopshape.io import words
+from loopshape.io import config_table
 from loopshape.io.run import tables
 from loopshape.loop import verdict
 from loopshape.toolbox.rig.commands.measure import measure
@@ -62,7 +62,7 @@ def axis(tmp_path):
 
 
 def test_measure_reads_its_study_its_run_and_each_column_once(tmp_path, monkeypatch):
-    files = counted(monkeypatch, words, "read_toml", lambda path: Path(path).name)
+    files = counted(monkeypatch, config_table, "read_toml", lambda path: Path(path).name)
     columns = counted(monkeypatch, tables, "_parquet_column", lambda path, name, group=None: (path.name, name, group))
     (tmp_path / "study.toml").write_text(STUDY)
     measure(tmp_path / "study.toml", tmp_path / "run", quiet=True)
@@ -75,7 +75,7 @@ def test_measure_reads_its_study_its_run_and_each_column_once(tmp_path, monkeypa
 
 @pytest.mark.long
 def test_check_builds_each_loop_once_for_verdict_and_pictures(axis, monkeypatch):
-    files = counted(monkeypatch, words, "read_toml", lambda path: Path(path).name)
+    files = counted(monkeypatch, config_table, "read_toml", lambda path: Path(path).name)
     built = counted(monkeypatch, verdict, "smoothed", lambda frf, band: frf.recording)
     passed, drawn = check_run(axis, axis / "c.toml", axis / "r.toml", Output(quiet=True))
     assert passed

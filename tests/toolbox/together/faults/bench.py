@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from commands import said_by
 
-from loopshape.io import seen
-from loopshape.toolbox.campaign import many
+from loopshape.io import input_guard
+from loopshape.toolbox.campaign import parallel
 
 MAP = """
 format = "loopshape-map/1"
@@ -91,8 +91,8 @@ def command(words, before=lambda: None):
     """Run a command in a fork, after `before` was done there; of campaigns all but their processes."""
 
     def work():
-        many.by_processes = one_by_one
-        seen._noted, seen._alone = None, 0  # a process of its own has read nothing yet
+        parallel.by_processes = one_by_one
+        input_guard._noted, input_guard._alone = None, 0  # a process of its own has read nothing yet
         before()
         return said_by(words)
 

@@ -12,7 +12,7 @@ from bench import command, commands, prepare
 from run_files import write_json
 
 import loopshape as ls
-from loopshape.io.held import alone
+from loopshape.io.folder_lock import alone
 from loopshape.toolbox.rig.files.measuring import MARK, begun, driver, marked
 
 #: each file with the commands that read it

@@ -7,7 +7,7 @@ import bench
 import numpy as np
 from bench import said_by
 
-from loopshape.toolbox.campaign import many
+from loopshape.toolbox.campaign import parallel
 
 LOOP = """
 [[loop]]
@@ -73,7 +73,7 @@ def prepare(folder):
     (folder / "other_study.toml").write_text(STUDY.format(seed=2))
     for draws, name in enumerate(("one_draw", "campaign", "more_draws"), start=1):
         (folder / f"{name}.toml").write_text(CAMPAIGN.format(draws=draws))
-    with mock.patch.object(many, "by_processes", bench.one_by_one):
+    with mock.patch.object(parallel, "by_processes", bench.one_by_one):
         made(folder, "campaign", folder / "one_draw.toml", "--out", folder / "many", "--quiet")
         for part in ("1/2", "2/2"):
             made(folder, "campaign", folder / "campaign.toml", "--out", folder / "parts", "--quiet", "--part", part)

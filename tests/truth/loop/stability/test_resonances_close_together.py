@@ -13,7 +13,7 @@ from tune_plants import DELAYED
 from tune_plants import frf as delayed
 
 import loopshape as ls
-from loopshape.loop.stability.crowded import crowd_of, stretches
+from loopshape.loop.stability.mode_clusters import crowd_of, stretches
 from loopshape.loop.stability.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]

@@ -21,7 +21,7 @@ from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, servos,
 import loopshape as ls
 from loopshape.design.problem.shifts import judged
 from loopshape.design.search import LARGEST, begin, search
-from loopshape.design.settle import settle
+from loopshape.design.tighten import settle
 from loopshape.loop.verdict import check, loops_of
 
 B, A, C3 = 20.0, 8.0, 0.05  # P = B/s, W1 = A/s, W3 = C3

@@ -1,5 +1,5 @@
 // Resonances close together, as Python fitted them to the plant: how 1 + L turns past them in each way that the lines
-// allow (Python: `Crowd.response` of loop/crowded.py, `turns_past_crowd` of loop/between.py).
+// allow (Python: `Crowd.response` of loop/stability/mode_clusters.py, `turns_past_crowd` of loop/margin/between.py).
 
 import { clip, placeIn, times, TWO_PI, zeros, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";

@@ -16,7 +16,7 @@ from run_files import write_json
 from scipy.integrate import solve_ivp
 
 import loopshape as ls
-from loopshape.io.seen import noting
+from loopshape.io.input_guard import noting
 from loopshape.toolbox.gap.diagnose.diagnose import Attribution
 from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, BudgetStep
 from loopshape.toolbox.gap.own.composed import Composed

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
 from loopshape.io.files import reading
-from loopshape.io.seen import settled
+from loopshape.io.input_guard import settled
 
 _Place = tuple[int, int, int]  # process (a fork holds nothing), device and number of a folder
 _HELD: dict[_Place, object] = {}  # what stands for each hold
