@@ -48,7 +48,7 @@ class ArmTrials(gymnasium.Env[Array, int]):
 
 
 #: of a policy on the watched trials: setpoints reached, trials that still move at the end, and at how many Hz
-Judge = Callable[[Policy], tuple[int, int, float]]
+Verifier = Callable[[Policy], tuple[int, int, float]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Learned:
 class Watch(BaseCallback):
     """Counts trials, and asks after every so many how good the greedy policy is."""
 
-    def __init__(self, rules: Rules, every: int, kept: int, judge: Judge) -> None:
+    def __init__(self, rules: Rules, every: int, kept: int, judge: Verifier) -> None:
         super().__init__()
         self.rules, self.every, self.kept, self.judge = rules, every, kept, judge
         self.trials, self.curve = 0, list[tuple[int, int, int, int, float]]()
@@ -96,7 +96,7 @@ def greedy(network: BasePolicy, rules: Rules) -> Policy:
     return best
 
 
-def learn(rules: Rules, settings: Mapping[str, Any], actions: int, seed: int, every: int, judge: Judge) -> Learned:
+def learn(rules: Rules, settings: Mapping[str, Any], actions: int, seed: int, every: int, judge: Verifier) -> Learned:
     """Train one learner; same seed and machine, same learner."""
     torch.set_num_threads(1)
     first = float(settings["learning_rate"])

@@ -21,7 +21,7 @@ STEP_M = 1e-6
 V = {row.name: row.value for row in ARM1_PARAMETERS.rows}
 FOUR_L2 = 4e-6 * V["braid_length_mm"] ** 2
 TURNS = 4.0 * np.pi * V["braid_turns"] ** 2
-Pull = Callable[[Array, Array], Array]
+ConstraintMultiplier = Callable[[Array, Array], Array]
 
 
 def chou_hannaford(p_bar: Array, h_m: Array) -> Array:
@@ -61,7 +61,7 @@ def analytical(p_bar: Array, h_m: Array) -> Array:
     return np.asarray(printed("analytical").stiffness(p_bar, h_m) * (h_m - nominal_length_m(p_bar)))
 
 
-def slope(model: Pull, p_bar: Array, h_m: Array) -> Array:
+def slope(model: ConstraintMultiplier, p_bar: Array, h_m: Array) -> Array:
     """dF/dh in N/m at constant pressure."""
     return np.asarray((model(p_bar, h_m + STEP_M) - model(p_bar, h_m - STEP_M)) / (2.0 * STEP_M))
 
@@ -105,7 +105,7 @@ class Comparison:
     numbers: tuple[float, float, float, float]
 
 
-def model_pulls(words: Mapping[str, Any]) -> dict[str, Pull]:
+def model_pulls(words: Mapping[str, Any]) -> dict[str, ConstraintMultiplier]:
     """The models beside the source's fitted one."""
     return {
         "Chou-Hannaford": chou_hannaford,

@@ -35,7 +35,7 @@ from loopshape.design.problem.rows import Tighten
 from loopshape.design.problem.shifts import Copy, closer, judged, shifted_loops
 from loopshape.design.search import Goal, begin, search, step_within
 from loopshape.design.starts import leaps, random_starts
-from loopshape.design.tighten import Judge, Settled, settle
+from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
 from loopshape.loop.margin.error_rms import error_warnings, of_points
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
@@ -69,7 +69,9 @@ class Task:
     precision: str
     disturbances: tuple[Disturbance, ...] = ()
 
-    def problem(self, copies: Sequence[Copy], asked: Requirements) -> tuple[Problem, Callable[[Requirements], Judge]]:
+    def problem(
+        self, copies: Sequence[Copy], asked: Requirements
+    ) -> tuple[Problem, Callable[[Requirements], Verifier]]:
         """The problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
         shifted = shifted_loops(self.loops, copies)
         shaken = of_points(shifted, self.disturbances)
@@ -77,12 +79,12 @@ class Task:
         known = [opened(loop, shaken.get(name), rate_hz) for name, loop in shifted.items()] if shaken else []
         p = problem(list(shifted.values()), asked, rate_hz, self.precision, known)
 
-        def judge_of(limits: Requirements) -> Judge:
+        def judge_of(limits: Requirements) -> Verifier:
             return lambda controller, points=None: judged(shifted, controller, limits, points, shaken)
 
         return p, judge_of
 
-    def check(self, p: Problem, best: Settled) -> Verdict:
+    def check(self, p: Problem, best: TightenedSolution) -> Verdict:
         """What `check` says of it at the plants as they are; margins that its judge read there are not read again."""
         C = p.controller(best.found.x)
         if self.requirements.detuning_percent is not None:
@@ -102,7 +104,7 @@ class Stage:
     copies: tuple[Copy, ...]
     asked: Requirements
     p: Problem
-    best: Settled
+    best: TightenedSolution
     verdict: Verdict
     steps: int
     added: str = ""
@@ -166,7 +168,7 @@ def closed_in(task: Task, stage: Stage) -> Stage:
         asked = replace(asked, structure=stage.asked.structure)
         p, judge_of = task.problem(copies, asked)
         goal = Goal()
-        again = settle(p, search(p, begin(p, stage.best.found.x, goal, 0.1), goal, MORE), judge_of(asked))
+        again = tighten_limits(p, search(p, begin(p, stage.best.found.x, goal, 0.1), goal, MORE), judge_of(asked))
         steps = stage.steps + again.found.steps
         stage = Stage(copies, asked, p, again, task.check(p, again), steps, stage.added)
     return stage
@@ -205,7 +207,7 @@ def _with(task: Task, stage: Stage, template: BlockTemplate, rng: np.random.Gene
     leapt, _ = leaps(p, replace(begun[0], measures=begin(p, begun[0].x).measures), rng, starts)
     begun.append(leapt)
     searched = sorted((search(p, one, goal, MOST) for one in begun), key=lambda one: goal.merit(one.measures))
-    ends = [settle(p, one, judge, stage.best.tighten) for one in searched[:SETTLED]]
+    ends = [tighten_limits(p, one, judge, stage.best.tighten) for one in searched[:SETTLED]]
     kind, stages = template.kind, []
     for end in sorted(ends, key=lambda one: one.rank)[:2]:
         one = Stage(stage.copies, asked, p, end, task.check(p, end), end.found.steps, kind)
@@ -260,7 +262,7 @@ def lifted(task: Task, stage: Stage, blocks: int, rng: np.random.Generator) -> S
     )
     stages = []
     for one in searched[:SETTLED]:
-        end = settle(p, one, judge, stage.best.tighten)
+        end = tighten_limits(p, one, judge, stage.best.tighten)
         added = Stage(stage.copies, asked, p, end, task.check(p, end), end.found.steps, f"{count} x {biquad.kind}")
         stages.append(closed_in(task, added))
     return min(stages, key=lambda one: one.rank, default=None)

@@ -21,8 +21,8 @@ from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.rows import Tighten, in_rows, spare_of, wished
-from loopshape.design.search import Found, Goal, begin, search
-from loopshape.design.tighten import Judge, Settled, least_rooms, settle
+from loopshape.design.search import Goal, SearchResult, begin, search
+from loopshape.design.tighten import TightenedSolution, Verifier, least_rooms, tighten_limits
 
 #: searches for the least miss begin at this many of the race's ends, and take this many steps at most
 ENDS, STEPS = 3, 150
@@ -35,7 +35,7 @@ TRIES = 3
 
 
 @dataclass(frozen=True)
-class Pull:
+class ConstraintMultiplier:
     """A requirement at an operating point that the least miss is held by; `share` is its multiplier, summing to one.
 
     `spare` is what is left of it there, in its unit, below zero, counted to the bad end of the 95 % interval.
@@ -84,7 +84,7 @@ class Shortfall(Plain):
     stable: bool
     miss: float
     helps: float
-    pulls: tuple[Pull, ...]
+    pulls: tuple[ConstraintMultiplier, ...]
     bounds: tuple[str, ...]
     relaxations: tuple[Relaxation, ...]
 
@@ -101,8 +101,8 @@ class Shortfall(Plain):
 
 
 def shortfall(
-    p: Problem, settled: Settled, ends: Sequence[Found], judge_of: Callable[[Requirements], Judge]
-) -> tuple[Settled, Shortfall | None]:
+    p: Problem, settled: TightenedSolution, ends: Sequence[SearchResult], judge_of: Callable[[Requirements], Verifier]
+) -> tuple[TightenedSolution, Shortfall | None]:
     """The controller that misses least, and why the requirements were not met.
 
     None where they can be met after all, and where it is stability alone that these data do not decide.
@@ -112,12 +112,14 @@ def shortfall(
         return settled, Shortfall(False, float("nan"), float("nan"), (), (), ())
     goal = Goal(settled.tighten)
     if least.measures.worst >= -MET:
-        again = settle(p, search(p, replace(least, radius=0.1), goal, 100), judge_of(p.requirements), settled.tighten)
+        again = tighten_limits(
+            p, search(p, replace(least, radius=0.1), goal, 100), judge_of(p.requirements), settled.tighten
+        )
         if again.verdict.passed:
             return again, None
         if not any(line.spare < 0.0 for line in again.verdict.lines):  # stability alone is not decided
             return min([settled, again], key=lambda one: one.rank), None
-    judged = Settled(least, judge_of(p.requirements)(p.controller(least.x)), settled.tighten)
+    judged = TightenedSolution(least, judge_of(p.requirements)(p.controller(least.x)), settled.tighten)
     pulls, helps = _certificate(p, least, settled.tighten)
     asked = dict.fromkeys(pull.quantity for pull in pulls if pull.quantity in LIMIT_OF)
     starts = [least, *ends[:ENDS]]
@@ -127,14 +129,14 @@ def shortfall(
     return min([settled, judged], key=lambda one: one.rank), found
 
 
-def _least_miss(p: Problem, starts: Sequence[Found], goal: Goal) -> Found | None:
+def _least_miss(p: Problem, starts: Sequence[SearchResult], goal: Goal) -> SearchResult | None:
     """The end of searches where `goal` is smallest, None where no start is stable."""
     begun = [begin(p, found.x, goal, steps=found.steps) for found in starts]
     ends = [search(p, found, goal, STEPS) for found in begun if found.measures.stable]
     return min(ends, key=lambda found: goal.merit(found.measures), default=None)
 
 
-def _certificate(p: Problem, least: Found, tighten: Tighten) -> tuple[tuple[Pull, ...], float]:
+def _certificate(p: Problem, least: SearchResult, tighten: Tighten) -> tuple[tuple[ConstraintMultiplier, ...], float]:
     """Rows that hold the worst miss where it is, with multipliers, and what a change of 1 % could take off it.
 
     The shortest convex combination of the rows' slopes, bounds of the parameters taken off: by duality the
@@ -153,9 +155,9 @@ def _certificate(p: Problem, least: Found, tighten: Tighten) -> tuple[tuple[Pull
     return tuple(_pulls(p, m, rows, shares[: rows.size], tighten)), 0.01 * left
 
 
-def _pulls(p: Problem, m: Measures, rows: np.ndarray, shares: Array, tighten: Tighten) -> list[Pull]:
+def _pulls(p: Problem, m: Measures, rows: np.ndarray, shares: Array, tighten: Tighten) -> list[ConstraintMultiplier]:
     """One for each quantity and operating point, largest share first; neighbouring lines are put together."""
-    found: dict[tuple[str, int], Pull] = {}
+    found: dict[tuple[str, int], ConstraintMultiplier] = {}
     for k, share in sorted(zip(rows.tolist(), shares.tolist(), strict=True), key=lambda pair: -pair[1]):
         what, point = m.what[k], int(m.point[k])
         recording, at_hz = p.place(int(m.at[k]), point)
@@ -168,12 +170,16 @@ def _pulls(p: Problem, m: Measures, rows: np.ndarray, shares: Array, tighten: Ti
         if what in LIMIT_OF and what != "controller_bandwidth_hz":
             unit, limit = LIMIT_OF[what].unit, wished(p, what, tighten)[point]
             spare = float(spare_of(what, limit, spare))
-        found[(what, point)] = Pull(what, unit, recording, at_hz, spare, share)
+        found[(what, point)] = ConstraintMultiplier(what, unit, recording, at_hz, spare, share)
     return sorted(found.values(), key=lambda pull: -pull.share)
 
 
 def _relaxation(
-    p: Problem, name: str, starts: Sequence[Found], tighten: Tighten, judge_of: Callable[[Requirements], Judge]
+    p: Problem,
+    name: str,
+    starts: Sequence[SearchResult],
+    tighten: Tighten,
+    judge_of: Callable[[Requirements], Verifier],
 ) -> Relaxation:
     """How far one requirement has to give for the others to hold, and whether a tuning with that passes."""
     limit, now = LIMIT_OF[name], _now(p, name)
@@ -203,7 +209,7 @@ def _now(p: Problem, name: str) -> float:
     return float(p.limits[name].max() if LIMIT_OF[name].sense == "at_least" else p.limits[name].min())
 
 
-def _needed(p: Problem, name: str, least: Found, tighten: Tighten) -> float:
+def _needed(p: Problem, name: str, least: SearchResult, tighten: Tighten) -> float:
     """What is missed of a quantity, in its unit, and a little more."""
     now = _now(p, name)
     if name == "controller_bandwidth_hz":
@@ -214,9 +220,9 @@ def _needed(p: Problem, name: str, least: Found, tighten: Tighten) -> float:
 
 
 def _tuned(
-    p: Problem, asked: Requirements, least: Found, tighten: Tighten, judge_of: Callable[[Requirements], Judge]
-) -> Settled:
+    p: Problem, asked: Requirements, least: SearchResult, tighten: Tighten, judge_of: Callable[[Requirements], Verifier]
+) -> TightenedSolution:
     """A tuning of relaxed requirements that begins where they are just met."""
     relaxed, goal = p.asked(asked), Goal(tighten)
     found = search(relaxed, begin(relaxed, least.x, goal, 0.02), goal, 60)
-    return settle(relaxed, found, judge_of(asked), tighten)
+    return tighten_limits(relaxed, found, judge_of(asked), tighten)

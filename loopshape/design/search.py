@@ -70,7 +70,7 @@ LARGEST = Goal()
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SearchResult:
     """Where a search stands: x, its measures, trust radius in ln, steps taken so far, whether it converged."""
 
     x: Array
@@ -85,12 +85,12 @@ class Found:
         return LARGEST.merit(self.measures)
 
 
-def begin(p: Problem, x: Array, goal: Goal = LARGEST, radius: float = START_RADIUS, steps: int = 0) -> Found:
+def begin(p: Problem, x: Array, goal: Goal = LARGEST, radius: float = START_RADIUS, steps: int = 0) -> SearchResult:
     """A search that has not begun, at x."""
-    return Found(x, measure(p, x, goal.tighten), radius, steps, False)
+    return SearchResult(x, measure(p, x, goal.tighten), radius, steps, False)
 
 
-def search(p: Problem, found: Found, goal: Goal, most: int, settled: float = SETTLED) -> Found:
+def search(p: Problem, found: SearchResult, goal: Goal, most: int, settled: float = SETTLED) -> SearchResult:
     """Search on from where another search ended, for at most `most` steps, until one promises less than `settled`.
 
     A step that does not pay may be followed by a second one before it is given up (a watchdog, Chamberlain
@@ -100,7 +100,7 @@ def search(p: Problem, found: Found, goal: Goal, most: int, settled: float = SET
     for step in range(most):
         dx, promised = step_within(p, x, here, radius, goal)
         if promised < settled:
-            return Found(x, here, radius, found.steps + step, True)
+            return SearchResult(x, here, radius, found.steps + step, True)
         tried, there, gained = _try(p, x, here, dx, promised, radius, goal)
         if gained > 0.0:
             x, here = tried, there
@@ -109,8 +109,8 @@ def search(p: Problem, found: Found, goal: Goal, most: int, settled: float = SET
         else:
             radius = 0.4 * min(radius, float(np.abs(dx).max()))
             if radius < SMALLEST:
-                return Found(x, here, radius, found.steps + step, True)
-    return Found(x, here, radius, found.steps + most, False)
+                return SearchResult(x, here, radius, found.steps + step, True)
+    return SearchResult(x, here, radius, found.steps + most, False)
 
 
 def _try(

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.core.kernels.loops import margins as columns
-from loopshape.core.kernels.loops.quick_evaluate import Glanced, glance
+from loopshape.core.kernels.loops.quick_evaluate import QuickReadings, quick_evaluate
 from loopshape.core.units import Array
 from loopshape.data.control.block import BlockTemplate, Free
 from loopshape.data.requirement.requirements import LIMIT_OF
@@ -22,9 +22,9 @@ from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.problem.measures import low_weights
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import scaled
-from loopshape.design.search import LARGEST, PENALTY, Found, begin, search
+from loopshape.design.search import LARGEST, PENALTY, SearchResult, begin, search
 from loopshape.design.structure import variables_of
-from loopshape.design.tighten import Judge, Settled, settle
+from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
 from loopshape.loop.margin.margins import LOGARITHMS, PLAIN
 
 #: steps that a search is given in the race's three heats, and after a leap; a leap that comes this near goes on
@@ -37,7 +37,7 @@ AGAIN, FEWEST = 12, 4
 ROUGH, PAYS, FEWEST_LEAPS = 1e-5, 1e-3, 6
 
 
-def random_starts(p: Problem, rng: np.random.Generator, draws: int, keep: int) -> list[Found]:
+def random_starts(p: Problem, rng: np.random.Generator, draws: int, keep: int) -> list[SearchResult]:
     """The best of random starts and the user's own, each with its gain as large as allowed.
 
     An unstable plant needs a controller within a few octaves of the right one, and most draws are unstable: then more
@@ -58,7 +58,7 @@ def _drawn(p: Problem, rng: np.random.Generator, draws: int) -> list[Array]:
     return [p.low + rng.random(p.low.size) * (p.high - p.low) for _ in range(draws)]
 
 
-def _best(p: Problem, trials: Sequence[Array], keep: int) -> list[Found]:
+def _best(p: Problem, trials: Sequence[Array], keep: int) -> list[SearchResult]:
     """The best of starts from some x."""
     q = glanced(p)
     seen = sorted((scaled_start(p, q, x) for x in trials), key=lambda sight: sight.merit)[:keep]
@@ -66,8 +66,8 @@ def _best(p: Problem, trials: Sequence[Array], keep: int) -> list[Found]:
 
 
 def race(
-    p: Problem, candidates: Sequence[Found], rng: np.random.Generator, also: Sequence[Found] = ()
-) -> tuple[list[Found], int]:
+    p: Problem, candidates: Sequence[SearchResult], rng: np.random.Generator, also: Sequence[SearchResult] = ()
+) -> tuple[list[SearchResult], int]:
     """The best of several searches, best first, dropping those that lag; with the steps taken in all.
 
     Between the heats and the last search the best leaps: one block after the other is drawn anew, because the
@@ -87,13 +87,13 @@ def race(
     return [last, *(found for found in running if found is not best)], steps + last.steps - best.steps
 
 
-def polished(p: Problem, end: Found) -> Found:
+def polished(p: Problem, end: SearchResult) -> SearchResult:
     """The end of a race on coarse lines, searched on, on all of them."""
     found = end if end.measures.evaluation.p is p else begin(p, end.x, radius=ON, steps=end.steps)
     return search(p, found, LARGEST, MOST)
 
 
-def leaps(p: Problem, best: Found, rng: np.random.Generator, count: int) -> tuple[Found, int]:
+def leaps(p: Problem, best: SearchResult, rng: np.random.Generator, count: int) -> tuple[SearchResult, int]:
     """The best after at most `count` leaps, each to the best of four draws of one block; with the steps taken.
 
     They end after two rounds of all blocks, six leaps at least, in which none paid.
@@ -128,7 +128,7 @@ class _Sight:
     x: Array
 
 
-def glanced(p: Problem) -> Glanced:
+def glanced(p: Problem) -> QuickReadings:
     """A problem's plants and limits as the kernel takes them."""
     level, sign, factor = _limits(p)
     last = p.f[p.first[1:] - 1]
@@ -136,7 +136,7 @@ def glanced(p: Problem) -> Glanced:
     masks = [over(one.masks, one.weights, p.f[a:b]) for one, a, b in cut]
     weighed = any(one.masks or one.weights for one in p.each)
     wish = p.requirements.objective
-    return Glanced(
+    return QuickReadings(
         f=p.f,
         P=p.P,
         reach=p.reach,
@@ -181,7 +181,7 @@ def _limits(p: Problem) -> tuple[Array, Array, Array]:
     return level, sign, factor
 
 
-def scaled_start(p: Problem, q: Glanced, x: Array, halvings: int = 6) -> _Sight:
+def scaled_start(p: Problem, q: QuickReadings, x: Array, halvings: int = 6) -> _Sight:
     """A start from x, its first free gain (where there is one) about as large as all requirements allow, by halving.
 
     Where halving meets no stable loop the gain may have to be larger: an unstable plant needs a least gain.
@@ -191,7 +191,7 @@ def scaled_start(p: Problem, q: Glanced, x: Array, halvings: int = 6) -> _Sight:
     C_above = e.C[p.above]
 
     def look(shift: float, enough: float = np.inf) -> tuple[float, bool]:
-        return glance(q, float(np.exp(shift)), e.C, C_above, e.below, enough)
+        return quick_evaluate(q, float(np.exp(shift)), e.C, C_above, e.below, enough)
 
     k = next((k for k, v in enumerate(p.variables) if v.name == "gain"), None)
     best, shift = look(0.0)[0], 0.0
@@ -236,40 +236,40 @@ _SAME, _CLOSE = 1e-2, 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Raced:
+class Tournament:
     """A problem, the ends of its searches on coarse lines, best first, the steps they took, and the same of each
     structure with one block less, by the number of that block."""
 
     p: Problem
-    ends: list[Found]
+    ends: list[SearchResult]
     steps: int
-    less: tuple[tuple[int, Raced], ...] = ()
+    less: tuple[tuple[int, Tournament], ...] = ()
 
 
-def raced(p: Problem, candidates: Sequence[Found], seed: int, draws: int, starts: int) -> Raced:
+def tournament(p: Problem, candidates: Sequence[SearchResult], seed: int, draws: int, starts: int) -> Tournament:
     """A race from candidates and from the optima of all structures that this one contains.
 
     The contained ones are searched from their own random starts, as they would be alone. Of the candidates the first
     half runs where a smaller structure's optimum runs too. One start alone has no company.
     """
-    done: list[Raced] = []
-    for one in reversed(contained(p) if starts > 1 else []):  # what is contained comes first
+    done: list[Tournament] = []
+    for one in reversed(substructures(p) if starts > 1 else []):  # what is contained comes first
         done.append(_race(one, random_starts(one.coarse, np.random.default_rng(seed), draws, starts), seed, done))
     last = _race(p, candidates, seed, done)
     return replace(last, steps=last.steps + sum(one.steps for one in done))
 
 
-def _race(p: Problem, candidates: Sequence[Found], seed: int, done: Sequence[Raced]) -> Raced:
+def _race(p: Problem, candidates: Sequence[SearchResult], seed: int, done: Sequence[Tournament]) -> Tournament:
     """A race of candidates and of what the structures with one block less ended at."""
     found = ((k, [one for one in done if _same(one.p.templates, less.templates)]) for k, less in without_one(p))
     less = tuple((k, known[0]) for k, known in found if known)
     also = [begin(p.coarse, embedded(p, k, one.ends[0].x)) for k, one in less]
     mine = candidates[: (len(candidates) + 1) // 2] if less else candidates
     ends, steps = race(p.coarse, mine, np.random.default_rng([seed, 1]), also)
-    return Raced(p, [*ends, *also], steps, less)
+    return Tournament(p, [*ends, *also], steps, less)
 
 
-def settled(r: Raced, judge: Judge) -> tuple[Settled, int]:
+def settled(r: Tournament, judge: Verifier) -> tuple[TightenedSolution, int]:
     """The best of what a race's ends settle at, and the steps taken; best first, while one may still be better.
 
     What a smaller structure settles at is tried too where that may be better, or where no end passes.
@@ -286,7 +286,7 @@ def settled(r: Raced, judge: Judge) -> tuple[Settled, int]:
         if best is not None and (not np.isfinite(found.merit) or _hopeless(found.merit, best) or _near(found.x, seen)):
             continue
         seen += [end.x, found.x]
-        again = settle(r.p, found, judge)
+        again = tighten_limits(r.p, found, judge)
         steps += again.found.steps - found.steps
         best = again if best is None else min([best, again], key=lambda one: one.rank)
     assert best is not None, "a race has an end"
@@ -295,12 +295,12 @@ def settled(r: Raced, judge: Judge) -> tuple[Settled, int]:
             continue
         smaller, more = settled(less, judge)
         found = begin(r.p, embedded(r.p, k, smaller.found.x))
-        again = Settled(found, judge(r.p.controller(found.x)), smaller.tighten)
+        again = TightenedSolution(found, judge(r.p.controller(found.x)), smaller.tighten)
         steps, best = steps + more, min([best, again], key=lambda one: one.rank)
     return best, steps
 
 
-def _hopeless(merit: float, best: Settled) -> bool:
+def _hopeless(merit: float, best: TightenedSolution) -> bool:
     """Whether what has a merit in a search cannot end better than a best that passes."""
     return best.verdict.passed and merit > best.rank[-1]
 
@@ -309,7 +309,7 @@ def _near(x: Array, seen: Sequence[Array]) -> bool:
     return any(float(np.abs(x - other).max()) < _SAME for other in seen)
 
 
-def contained(p: Problem) -> list[Problem]:
+def substructures(p: Problem) -> list[Problem]:
     """Problems of the structures that a problem's contains, each once, the largest first."""
     found: list[Problem] = []
     level = [p]

@@ -15,10 +15,10 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import Measures, measure
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
-from loopshape.design.search import Found, Goal, begin, search
+from loopshape.design.search import Goal, SearchResult, begin, search
 
 
-class Judge(Protocol):
+class Verifier(Protocol):
     """What holds a controller against all requirements and has the last word."""
 
     def __call__(self, controller: Controller, points: Sequence[int] | None = None) -> Verdict:
@@ -44,10 +44,10 @@ DIPPED, HIGHER = 0.05, 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class TightenedSolution:
     """A search's end, `check`'s verdict on it, and the tightening under which it was searched."""
 
-    found: Found
+    found: SearchResult
     verdict: Verdict
     tighten: Tighten
 
@@ -99,7 +99,9 @@ def miss(verdict: Verdict) -> float:
     return max(misses, default=0.0)
 
 
-def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None) -> Settled:
+def tighten_limits(
+    p: Problem, best: SearchResult, judge: Verifier, tighten: Tighten | None = None
+) -> TightenedSolution:
     """The best that passes `judge`, whose word is final: its readings are finer, and count to the bad end of their
     95 % intervals.
 
@@ -109,9 +111,9 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
     """
     if tighten is None:
         best, tighten = _foreseen(p, best, judge)
-    tried: list[Settled] = []
+    tried: list[TightenedSolution] = []
     for k in range(ROUNDS):
-        tried.append(Settled(best, judge(p.controller(best.x)), tighten))
+        tried.append(TightenedSolution(best, judge(p.controller(best.x)), tighten))
         asked = allowances(p, best.x, tried[-1].verdict)
         if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].found.x)):
             break
@@ -120,7 +122,7 @@ def settle(p: Problem, best: Found, judge: Judge, tighten: Tighten | None = None
     return min(tried, key=lambda one: one.rank)
 
 
-def _foreseen(p: Problem, best: Found, judge: Judge) -> tuple[Found, Tighten]:
+def _foreseen(p: Problem, best: SearchResult, judge: Verifier) -> tuple[SearchResult, Tighten]:
     """The search taken on by what `judge` asks for at the operating points that bind, where these are a minority.
 
     The others, which have room, are then read once, at the end.
@@ -135,7 +137,9 @@ def _foreseen(p: Problem, best: Found, judge: Judge) -> tuple[Found, Tighten]:
     return _searched_on(p, best, tighten), tighten
 
 
-def _nearer(p: Problem, best: Found, tighten: Tighten, judge: Judge, *, firm: bool) -> tuple[Found, Tighten]:
+def _nearer(
+    p: Problem, best: SearchResult, tighten: Tighten, judge: Verifier, *, firm: bool
+) -> tuple[SearchResult, Tighten]:
     """The search taken on by what `judge` still asks for at the operating points that bind, where these are a minority.
 
     What it asks changes with x, and there it counts: so fewer rounds read all points. `firm` as in `_tightened`.
@@ -158,7 +162,7 @@ def _nearer(p: Problem, best: Found, tighten: Tighten, judge: Judge, *, firm: bo
     return best, tighten
 
 
-def _searched_on(p: Problem, best: Found, tighten: Tighten) -> Found:
+def _searched_on(p: Problem, best: SearchResult, tighten: Tighten) -> SearchResult:
     """The search taken on from where it ended, under limits tightened otherwise."""
     goal = Goal(tighten)
     return search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60)
@@ -214,7 +218,7 @@ def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:
     return out
 
 
-def _done(now: Settled, asked: Mapping[str, Array], k: int) -> bool:
+def _done(now: TightenedSolution, asked: Mapping[str, Array], k: int) -> bool:
     """Whether it passes and little was wasted, or cannot pass although the tightening is about right."""
     m, waste = now.found.measures, 0.0
     p = m.evaluation.p
@@ -227,7 +231,7 @@ def _done(now: Settled, asked: Mapping[str, Array], k: int) -> bool:
 
 
 def _tightened(
-    p: Problem, before: Tighten, asked: Mapping[str, Array], now: Settled, *, firm: bool
+    p: Problem, before: Tighten, asked: Mapping[str, Array], now: TightenedSolution, *, firm: bool
 ) -> dict[str, float | Array]:
     """The next tightening: what was asked, and a fifth of what it rose by; `firm` never less than before."""
     out: dict[str, float | Array] = {}

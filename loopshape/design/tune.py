@@ -34,9 +34,9 @@ from loopshape.design.problem.peaks import NORM
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.shifts import copies_for
 from loopshape.design.relax import Shortfall, shortfall
-from loopshape.design.search import Found, begin
-from loopshape.design.starts import raced, random_starts, settled
-from loopshape.design.tighten import Judge, Settled, norm
+from loopshape.design.search import SearchResult, begin
+from loopshape.design.starts import random_starts, settled, tournament
+from loopshape.design.tighten import TightenedSolution, Verifier, norm
 from loopshape.loop.verdict import loops_of, refuse_too_high
 
 
@@ -150,7 +150,7 @@ def tune(
     p, judge_of = task.problem(copies, requirements)
     judge = judge_of(requirements)
     candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
-    run = raced(p, candidates, seed, draws, starts)
+    run = tournament(p, candidates, seed, draws, starts)
     best, steps = settled(run, judge)
     why = None
     if not best.verdict.passed and explain and not grow:
@@ -202,7 +202,7 @@ def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | N
 
 def _candidates(
     p: Problem, start: Controller | None, rng: np.random.Generator, draws: int, starts: int
-) -> tuple[list[Found], tuple[str, ...]]:
+) -> tuple[list[SearchResult], tuple[str, ...]]:
     """Where searches begin, the warm start first, and what it had to leave."""
     if start is None:
         return random_starts(p.coarse, rng, draws, starts), ()
@@ -211,10 +211,10 @@ def _candidates(
     return [begin(p.coarse, x), *others], moved
 
 
-def _no_worse(p: Problem, best: Settled, x: Array, judge: Judge) -> Settled:
+def _no_worse(p: Problem, best: TightenedSolution, x: Array, judge: Verifier) -> TightenedSolution:
     """What was found, or the start where that passes and is better."""
     began = begin(p, x, steps=best.found.steps)
-    start = Settled(began, judge(p.controller(x)), {})
+    start = TightenedSolution(began, judge(p.controller(x)), {})
     return start if start.verdict.passed and start.rank < best.rank else best
 
 
@@ -254,7 +254,7 @@ def _largest(p: Problem, m: Measures, tolerance: float) -> list[tuple[str, float
     return [p.place(at, point) for point, (value, at) in found.items() if value <= least + tolerance]
 
 
-def _binding(p: Problem, found: Found, tolerance: float = 2e-3) -> tuple[Binding, ...]:
+def _binding(p: Problem, found: SearchResult, tolerance: float = 2e-3) -> tuple[Binding, ...]:
     """Operating points where the objective's terms are lowest and requirements without room, tightest first."""
     m, wish = found.measures, p.requirements.objective
     out = []

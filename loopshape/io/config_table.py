@@ -27,7 +27,7 @@ def is_number(value: object) -> bool:
 
 
 @dataclass(frozen=True)
-class Words:
+class ConfigTable:
     """One table and its place, which every refusal (`WrongUseError`) names."""
 
     table: Mapping[str, Any]
@@ -129,24 +129,24 @@ class Words:
             raise self._wrong(key, "a list of texts in quotes")
         return tuple(value)
 
-    def inner(self, key: str) -> Words:
+    def inner(self, key: str) -> ConfigTable:
         """A table inside this one; empty where it is missing."""
         value = self.table.get(key, {})
         if not isinstance(value, dict):
             raise self._wrong(key, "a table")
-        return Words(value, f"{self.where}, {short(key)}")
+        return ConfigTable(value, f"{self.where}, {short(key)}")
 
     def numbers(self, key: str) -> dict[str, float]:
         """A table of numbers; empty where it is missing."""
         inner = self.inner(key)
         return {name: inner.number(name) for name in inner.table}
 
-    def tables(self, key: str) -> tuple[Words, ...]:
+    def tables(self, key: str) -> tuple[ConfigTable, ...]:
         """A list of tables, each placed by its name or number; empty where it is missing."""
         value = self.table.get(key, [])
         if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
             raise self._wrong(key, "a list of tables")
-        return tuple(Words(v, f"{self.where}, {key} {_label(v, i)}") for i, v in enumerate(value, start=1))
+        return tuple(ConfigTable(v, f"{self.where}, {key} {_label(v, i)}") for i, v in enumerate(value, start=1))
 
 
 def _label(table: Mapping[str, Any], number: int) -> str:
@@ -154,9 +154,9 @@ def _label(table: Mapping[str, Any], number: int) -> str:
     return short(repr(name)) if isinstance(name, str) else str(number)
 
 
-def read_words(path: Path, file_format: str) -> Words:
+def read_words(path: Path, file_format: str) -> ConfigTable:
     """The table of a TOML file of one format; refuses another format by name."""
-    words = Words(read_toml(path), path.name)
+    words = ConfigTable(read_toml(path), path.name)
     found = words.table.get("format")
     if found != file_format:
         raise UnreadableInputError(

@@ -9,7 +9,7 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.requirement.profile import Profile, Zone
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.io.config_table import Words, read_words, refuse_doubles, said_in
+from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-profiles/1"
 #: the file that comes with the package
@@ -40,7 +40,7 @@ def profile_of(said: str) -> Profile:
     return known[name]
 
 
-def _profile(words: Words) -> Profile:
+def _profile(words: ConfigTable) -> Profile:
     words.only(*_TEXTS, "limits", "unread", "remarks", "zones")
     words.need("limits")
     texts = {key: words.text(key) for key in _TEXTS}
@@ -52,7 +52,7 @@ def _profile(words: Words) -> Profile:
         return Profile(**texts, limits=limits, unread=unread, remarks=words.list_of_texts("remarks"), zones=zones)
 
 
-def _zone(words: Words) -> Zone:
+def _zone(words: ConfigTable) -> Zone:
     words.only("name", "up_to_db", "means")
     up_to = words.maybe_number("up_to_db")
     return Zone(words.text("name"), inf if up_to is None else up_to, words.text("means"))

@@ -23,7 +23,13 @@ from loopshape.core.interrupts import until_interrupted
 from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import SeveralLoops, page_of
-from loopshape.view.page.payload import Shaped, certificate_words, controller_from, controller_words, requirements_from
+from loopshape.view.page.payload import (
+    ShapingSession,
+    certificate_words,
+    controller_from,
+    controller_words,
+    requirements_from,
+)
 
 #: a request of the page is far smaller
 MOST_BYTES = 1_000_000
@@ -40,13 +46,15 @@ REACH = 10.0
 class ShapeServer:
     """Answers of one page; `serve` runs until it is interrupted, `url` has the token."""
 
-    def __init__(self, loops: Sequence[Shaped], title: str, save: Path, several: SeveralLoops | None = None) -> None:
+    def __init__(
+        self, loops: Sequence[ShapingSession], title: str, save: Path, several: SeveralLoops | None = None
+    ) -> None:
         self.title, self.several = title, several
         self.save_to, self.token, self.lock = save, token_urlsafe(24), Lock()
         self._show(loops)
         self.http = _Bounded(("127.0.0.1", 0), _handler(self))
 
-    def _show(self, loops: Sequence[Shaped]) -> None:
+    def _show(self, loops: Sequence[ShapingSession]) -> None:
         self.loops = {one.controller.loop: one for one in loops}
         self._page = page_of(loops, self.title, _MARK)
 
@@ -89,7 +97,7 @@ class ShapeServer:
 
     def answer(self, name: str, asked: Mapping[str, Any]) -> dict[str, Any]:
         """What a button asks: "check", "tune", "save" or "close" (the other loops, as they are now); one at a time."""
-        does: dict[str, Callable[[Shaped, Mapping[str, Any]], dict[str, Any]]]
+        does: dict[str, Callable[[ShapingSession, Mapping[str, Any]], dict[str, Any]]]
         does = {"check": self._check, "tune": self._tune, "save": self._save, "close": self._close}
         if name not in does:
             raise WrongUseError("the page asks for what is not known", name, f"one of {', '.join(does)}")
@@ -100,7 +108,7 @@ class ShapeServer:
         with self.lock:
             return does[name](self.loops[loop], asked)
 
-    def _check(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+    def _check(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         verdict = check(
             one.frfs,
             controller_from(asked["controller"]),
@@ -109,7 +117,7 @@ class ShapeServer:
         )
         return {"certificate": certificate_words(verdict), "words": repr(verdict)}
 
-    def _tune(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+    def _tune(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.design.tune import tune
 
         start = controller_from(asked["controller"])
@@ -119,13 +127,13 @@ class ShapeServer:
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
 
-    def _close(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+    def _close(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         if self.several is None:
             raise WrongUseError("the page has single loops", "close", "serve it with --matrix")
         self._show(self.several.shaped([controller_from(words) for words in asked["controllers"]]))
         return {"words": "each loop has the others closed as they are now"}
 
-    def _save(self, one: Shaped, asked: Mapping[str, Any]) -> dict[str, Any]:
+    def _save(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.io.files import make_folder
         from loopshape.io.folder_lock import held
         from loopshape.io.write.controllers import write_controllers

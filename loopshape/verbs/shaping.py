@@ -18,7 +18,7 @@ from loopshape.data.response.model import Fit
 from loopshape.loop.matrix.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
-from loopshape.view.page.payload import Others, Shaped
+from loopshape.view.page.payload import ClosedLoops, ShapingSession
 
 if TYPE_CHECKING:
     from loopshape.view.page.widget import ShapeWidget
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 def shaped(
     frfs: Sequence[FRF], controller: Controller | None, requirements: Requirements | None, fits: Sequence[Fit]
-) -> Shaped:
+) -> ShapingSession:
     """A loop with what a check says of where its shaping starts: the controller, or a gain of 1."""
     if not frfs:
         raise WrongUseError("there is no FRF to shape a loop on", "none", "estimate one: loopshape frf RUN")
     start = controller or _gain_of_one(frfs[0])
     required = requirements or Requirements(start.loop)
-    return Shaped(tuple(frfs), start, required, tuple(fits), check(frfs, start, required, fits))
+    return ShapingSession(tuple(frfs), start, required, tuple(fits), check(frfs, start, required, fits))
 
 
 def _gain_of_one(frf: FRF) -> Controller:
@@ -52,27 +52,29 @@ class SeveralLoops:
     together: SeveralRequirements | None = None
     held: tuple[Controller, ...] = ()
 
-    def shaped(self, controllers: Sequence[Controller]) -> list[Shaped]:
+    def shaped(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
         """Each loop on the plant that it meets while the others are closed by these controllers."""
         names = [one.loop for one in controllers]
         together = self.together or SeveralRequirements()
         matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.held)
         return [self._one(own, controllers, matrices) for own in controllers]
 
-    def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, LoopMatrix]) -> Shaped:
+    def _one(
+        self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, LoopMatrix]
+    ) -> ShapingSession:
         required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
         met = plants_met(own.loop, matrices)
         rest = tuple(one for one in controllers if one is not own)
-        others = Others(rest, unstable_poles_met(own.loop, matrices, required))
-        return Shaped(met, own, required, (), check(met, own, others.judged(required)), others)
+        others = ClosedLoops(rest, unstable_poles_met(own.loop, matrices, required))
+        return ShapingSession(met, own, required, (), check(met, own, others.judged(required)), others)
 
 
-def page_of(loops: Sequence[Shaped], title: str, saved: str | None = None) -> bytes:
+def page_of(loops: Sequence[ShapingSession], title: str, saved: str | None = None) -> bytes:
     """The page as bytes; with `saved`, the mark of what its Save may replace, it has the buttons that ask a server."""
     return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
 
 
-def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
+def notebook_widget(loops: Sequence[ShapingSession], title: str) -> ShapeWidget:
     """The page of one loop for a notebook's cell."""
     if len(loops) > 1:
         names = ", ".join(one.controller.loop for one in loops)
@@ -86,7 +88,7 @@ def notebook_widget(loops: Sequence[Shaped], title: str) -> ShapeWidget:
     return ShapeWidget(loops[0], title, __version__)
 
 
-def write_page(path: Path, loops: Sequence[Shaped], title: str) -> int:
+def write_page(path: Path, loops: Sequence[ShapingSession], title: str) -> int:
     """Write the page; gives its size in bytes."""
     from loopshape.io.files import write_bytes_whole
 
@@ -95,7 +97,7 @@ def write_page(path: Path, loops: Sequence[Shaped], title: str) -> int:
     return len(data)
 
 
-def several_run(run: Path, require: Path | None, controller: Path | None) -> tuple[SeveralLoops, list[Shaped]]:
+def several_run(run: Path, require: Path | None, controller: Path | None) -> tuple[SeveralLoops, list[ShapingSession]]:
     """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
     from loopshape.io.write.check_files import recorded_under
     from loopshape.io.write.controllers import read_controllers
@@ -110,7 +112,7 @@ def several_run(run: Path, require: Path | None, controller: Path | None) -> tup
     return made, made.shaped(read_controllers(controller))
 
 
-def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[Shaped]:
+def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[ShapingSession]:
     """Loops of a requirements file, else those of a controller file, else all that have a FRF."""
     from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.controllers import read_controllers

@@ -5,7 +5,7 @@ import pytest
 from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servo, servos, wished
 
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.starts import contained, embedded, neutral, without_one
+from loopshape.design.starts import embedded, neutral, substructures, without_one
 from loopshape.design.tune import tune
 
 LIMITS = {"sensitivity_peak_db": 6.0}
@@ -50,12 +50,12 @@ def test_what_is_embedded_is_the_same_controller() -> None:
 
 def test_contained_structures_are_each_named_once_and_their_number_is_bounded() -> None:
     p = problem_of(PLANTS["delay"], wished(GAIN, NOTCH, NOTCH, LOW_PASS, **LIMITS))
-    assert [[t.kind for t in one.templates] for one in contained(p)] == [
+    assert [[t.kind for t in one.templates] for one in substructures(p)] == [
         ["gain", "notch", "low_pass_2"],
         ["gain", "low_pass_2"],
     ]
     many = problem_of(PLANTS["delay"], wished(GAIN, *[NOTCH, LEAD_LAG] * 4, **LIMITS))
-    assert len(contained(many)) == 7
+    assert len(substructures(many)) == 7
 
 
 def test_a_block_that_must_do_something_contains_nothing() -> None:

@@ -11,7 +11,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
 if TYPE_CHECKING:
     from loopshape.verbs.shaping import SeveralLoops
-    from loopshape.view.page.payload import Shaped
+    from loopshape.view.page.payload import ShapingSession
 
 
 def shape(
@@ -56,7 +56,7 @@ def shape(
     output.json({"page": str(path), "bytes": size, "loops": [one.controller.loop for one in loops]})
 
 
-def _serve(loops: list[Shaped], title: str, save: Path, several: SeveralLoops | None) -> None:
+def _serve(loops: list[ShapingSession], title: str, save: Path, several: SeveralLoops | None) -> None:
     """The page until Ctrl+C."""
     from loopshape.verbs.shape_server import ShapeServer
 

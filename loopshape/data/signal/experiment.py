@@ -74,7 +74,7 @@ def _weight(loop: LoopSetup, name: str) -> float:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Told:
+class ExperimentSettings:
     """What goes unchanged from a study's experiment to the experiment that is done and to what `run.toml` says of it.
 
     `parameters` are settings of the rig that hold for this one alone (a supply pressure, a load), in the plant's names.
@@ -84,11 +84,11 @@ class Told:
 
     def told(self) -> dict[str, Any]:
         """These fields by name, as the next noun takes them."""
-        return {f.name: getattr(self, f.name) for f in fields(Told)}
+        return {f.name: getattr(self, f.name) for f in fields(ExperimentSettings)}
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment(Told):
+class Experiment(ExperimentSettings):
     """Setpoints and injected signals (n, loops) at `rate_hz`, in the unit of the place they act at.
 
     `injection` says where `injected` enters: the controller's input, the plant's input, or (`control`) as

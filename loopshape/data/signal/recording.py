@@ -12,15 +12,15 @@ from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import ByStretches, LongSignal, Signal
 from loopshape.core.units import Array
 from loopshape.data.signal.channel import sum_terms
-from loopshape.data.signal.experiment import Experiment, Told, refuse_unknown_words
+from loopshape.data.signal.experiment import Experiment, ExperimentSettings, refuse_unknown_words
 
 
 @dataclass(frozen=True)
-class RecordingInfo(Told):
+class RecordingInfo(ExperimentSettings):
     """What `run.toml` says of one recording; docs/files.md explains each word.
 
     `excites_also` are further loops excited at once with `excites`; `ended_early` says why a recording is shorter than
-    asked. What an experiment tells unchanged stands in `Told`.
+    asked. What an experiment tells unchanged stands in `ExperimentSettings`.
     """
 
     file: str

@@ -10,7 +10,7 @@ from pathlib import Path
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.interrupts import undivided
 from loopshape.data.signal.run import Run
-from loopshape.io.config_table import Words
+from loopshape.io.config_table import ConfigTable
 from loopshape.io.files import make_folder, plain_name, short, staged
 from loopshape.io.folder_lock import held
 from loopshape.io.input_guard import own
@@ -58,7 +58,7 @@ def _remove_all_but_words(folder: Path) -> None:
             path.unlink(missing_ok=True)
 
 
-def _plain_file(entry: Words) -> str:
+def _plain_file(entry: ConfigTable) -> str:
     return plain_name(entry.table.get("file"), "the file of a recording")
 
 

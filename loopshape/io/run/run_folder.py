@@ -20,7 +20,7 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.stretches import LongSignal, Signal, equal
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.io.config_table import Words, read_words, refuse_doubles
+from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles
 from loopshape.io.files import PART, inside, leave_memory, make_folder, reading, remove_part, short, write_toml
 from loopshape.io.folder_lock import alone as alone
 from loopshape.io.folder_lock import held, hold_of
@@ -66,7 +66,7 @@ def read_run(folder: Path) -> Run:
     )
 
 
-def _table(folder: Path, words: Words, entry: Words) -> TableColumns:
+def _table(folder: Path, words: ConfigTable, entry: ConfigTable) -> TableColumns:
     """A recording's table; its mark stands on the table, on what is stated of it, on loops and outputs."""
     further = (words.table["outputs"],) if "outputs" in words.table else ()
     said = repr((words.table["rate_hz"], words.table.get("loop"), *further))
@@ -78,7 +78,7 @@ def _table(folder: Path, words: Words, entry: Words) -> TableColumns:
     )
 
 
-def _check_extra(words: Words) -> None:
+def _check_extra(words: ConfigTable) -> None:
     """Refuse further keys that others read from `extra`, where they are of another kind."""
     words.numbers("parameters")
     words.numbers("effects")
@@ -91,7 +91,7 @@ def has_run(folder: Path) -> bool:
         return (folder / RUN_TOML).exists()
 
 
-def read_run_words(folder: Path) -> Words:
+def read_run_words(folder: Path) -> ConfigTable:
     """The words of `run.toml`; refuses a folder that holds none of this format."""
     with reading(folder, "a run's folder"):
         is_folder = folder.is_dir()
@@ -100,7 +100,7 @@ def read_run_words(folder: Path) -> Words:
     path = folder / RUN_TOML
     hold, last = hold_of(folder), _WRITTEN.get(path)
     if hold is not None and last is not None and last[0] is hold:
-        return Words(tomllib.loads(toml_text(last[1])), path.name)  # as it reads back, and a copy
+        return ConfigTable(tomllib.loads(toml_text(last[1])), path.name)  # as it reads back, and a copy
     if not has_run(folder):
         if any((folder / "frf").glob("*.npz")):
             raise UnreadableInputError(
@@ -218,7 +218,7 @@ def _resume(folder: Path, header: Mapping[str, Any]) -> None:
         _write(folder, old | {"notes": old.get("notes", []) + notes})
 
 
-def _refuse_other(folder: Path, words: Words, header: Mapping[str, Any]) -> None:
+def _refuse_other(folder: Path, words: ConfigTable, header: Mapping[str, Any]) -> None:
     """Refuse a folder that has the run of another header."""
     old = words.table
     differing = sorted(
@@ -240,7 +240,7 @@ def refuse_other(folder: Path, run: Run) -> None:
         _refuse_other(folder, words, _header(run))
 
 
-def _refuse_lost(folder: Path, words: Words) -> None:
+def _refuse_lost(folder: Path, words: ConfigTable) -> None:
     """Refuse a run that no longer lists what its journal calls finished: going on would write over it."""
     lines, _ = read_journal(folder)
     listed = _listed(words)
@@ -258,7 +258,7 @@ def _header(run: Run) -> dict[str, Any]:
     if taken := set(run.extra) & set(_KEYS):
         raise WrongUseError("a run's further keys must not be its own", ", ".join(sorted(taken)))
     table: dict[str, Any] = {"format": FORMAT, "plant": run.plant, "rate_hz": float(run.rate_hz)}
-    table["outputs"] = list(read_outputs(Words({"outputs": list(run.outputs)}, "the run"))) or None
+    table["outputs"] = list(read_outputs(ConfigTable({"outputs": list(run.outputs)}, "the run"))) or None
     table |= dict(run.extra) | {"pwm": dict(run.pwm) or None, "loop": [loop_table(loop) for loop in run.loops] or None}
     return tomllib.loads(toml_text(table))
 
@@ -283,7 +283,7 @@ def add_recording(folder: Path, recording: Recording, *, again: bool = False) ->
             )
 
 
-def _put_in_place_of(old: Mapping[str, Any], folder: Path, words: Words, recording: Recording) -> None:
+def _put_in_place_of(old: Mapping[str, Any], folder: Path, words: ConfigTable, recording: Recording) -> None:
     """Write a recording under a file of its own, name it where the old one was, and keep that one's table."""
     name, listed = recording.info.name, list(words.table["recording"])
     kept = next_earlier(folder, name)
@@ -302,7 +302,7 @@ def fill_unlisted(folder: Path, run: Run, recording: Recording) -> Callable[[], 
     `add_recording` refuses of a recording.
     """
     make_folder(folder)
-    entry, put_in_place = _filled(folder, Words(_header(run), "the run"), recording)
+    entry, put_in_place = _filled(folder, ConfigTable(_header(run), "the run"), recording)
 
     def told() -> dict[str, Any]:
         put_in_place()
@@ -320,7 +320,7 @@ def read_unlisted(folder: Path, run: Run, name: str) -> dict[str, Any] | None:
     with suppress(UnreadableInputError):
         about = read_about(path)
         entry = about.get("recording")
-        if isinstance(entry, dict) and about == _about(Words(_header(run), "the run"), entry):
+        if isinstance(entry, dict) and about == _about(ConfigTable(_header(run), "the run"), entry):
             return entry | {"sha256": file_sha256(path)}
     return None
 
@@ -332,7 +332,7 @@ def adopt(folder: Path, run: Run, entries: Sequence[Mapping[str, Any]], order: S
     """
     with held(folder):
         header = _header(run)
-        words = read_run_words(folder) if has_run(folder) else Words(header, "the run")
+        words = read_run_words(folder) if has_run(folder) else ConfigTable(header, "the run")
         _refuse_other(folder, words, header)
         there = _listed(words)
         _list(folder, words.table, [entry for entry in entries if _name(entry) not in there], order)
@@ -351,7 +351,7 @@ def _name(entry: Mapping[str, Any]) -> str:
     return str(entry.get("file", "")).split(".")[0]
 
 
-def _listed(words: Words) -> set[str]:
+def _listed(words: ConfigTable) -> set[str]:
     return {_name(entry.table) for entry in words.tables("recording")}
 
 
@@ -369,18 +369,18 @@ def _list(
     )
 
 
-def _written(folder: Path, words: Words, recording: Recording) -> dict[str, Any]:
+def _written(folder: Path, words: ConfigTable, recording: Recording) -> dict[str, Any]:
     """Write a table of the run that `words` begin; gives its words for `run.toml`."""
     entry, put_in_place = _filled(folder, words, recording)
     put_in_place()
     return entry
 
 
-def _filled(folder: Path, words: Words, recording: Recording) -> tuple[dict[str, Any], Callable[[], None]]:
+def _filled(folder: Path, words: ConfigTable, recording: Recording) -> tuple[dict[str, Any], Callable[[], None]]:
     """The first half of `_written`: the words, and the second half, which puts the table in place."""
     rate_hz = words.positive("rate_hz")
     entry = _entry(recording)
-    info = read_recording(Words(entry, f"recording {recording.info.name!r}"), read_loops(words, rate_hz))
+    info = read_recording(ConfigTable(entry, f"recording {recording.info.name!r}"), read_loops(words, rate_hz))
     if not info.file.endswith(".parquet") or recording.rate_hz != rate_hz:
         raise WrongUseError(
             f"a recording of this run is a .parquet file at {rate_hz:g} Hz", f"{info.file} at {recording.rate_hz:g} Hz"
@@ -390,12 +390,12 @@ def _filled(folder: Path, words: Words, recording: Recording) -> tuple[dict[str,
     return entry | {"sha256": digest}, put_in_place
 
 
-def _about(words: Words, entry: Mapping[str, Any]) -> dict[str, Any]:
+def _about(words: ConfigTable, entry: Mapping[str, Any]) -> dict[str, Any]:
     """What a table says of itself."""
     return {"made_by": versions(), "recording": entry, **_origin(words)}
 
 
-def _origin(words: Words) -> dict[str, Any]:
+def _origin(words: ConfigTable) -> dict[str, Any]:
     return {key: words.table[key] for key in ("study_sha256", KEY) if key in words.table}
 
 

@@ -11,9 +11,9 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.gain_scheduled import LAG_S, Follows, GainScheduled, Variable
 from loopshape.data.signal.channel import sum_terms
-from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES, LoopSetup, Told, shared_unit
+from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES, ExperimentSettings, LoopSetup, shared_unit
 from loopshape.data.signal.recording import RecordingInfo
-from loopshape.io.config_table import Words, refuse_doubles, said_in
+from loopshape.io.config_table import ConfigTable, refuse_doubles, said_in
 from loopshape.io.files import plain_name
 from loopshape.io.run.tables import check_ending
 
@@ -32,11 +32,11 @@ class Key:
     """
 
     name: str
-    read: Callable[[Words], Any]
+    read: Callable[[ConfigTable], Any]
     write: Callable[[Any], Any] = lambda value: value
 
 
-def _closed_loop(words: Words) -> bool:
+def _closed_loop(words: ConfigTable) -> bool:
     injection = words.one_of("injection", INJECTIONS)
     closed_loop = words.truth("closed_loop", injection != "control")
     if closed_loop == (injection == "control"):
@@ -48,7 +48,7 @@ def _closed_loop(words: Words) -> bool:
     return closed_loop
 
 
-def _from_zero(words: Words) -> float | None:
+def _from_zero(words: ConfigTable) -> float | None:
     from_s = words.maybe_number("periodic_from_s")
     if from_s is not None and from_s < 0.0:
         raise WrongUseError(f"{words.where}: periodic_from_s must not be negative", f"{from_s:g}")
@@ -75,10 +75,10 @@ INFO = (
 )
 INFO_KEYS = tuple(key.name for key in INFO)
 #: what a study's experiment says in the same words
-TOLD = tuple(key for key in INFO if key.name in (f.name for f in fields(Told)))
+TOLD = tuple(key for key in INFO if key.name in (f.name for f in fields(ExperimentSettings)))
 
 
-def read_blocks(words: Words) -> tuple[Block, ...]:
+def read_blocks(words: ConfigTable) -> tuple[Block, ...]:
     """Blocks of the key `controller`; refuses an empty list."""
     words.need("controller")
     blocks = []
@@ -91,7 +91,7 @@ def read_blocks(words: Words) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def read_controller(words: Words, rate_hz: float) -> Controller:
+def read_controller(words: ConfigTable, rate_hz: float) -> Controller:
     """Controller of a table with `name`, `controller`, and what else of `CONTROLLER_KEYS` is not at its default."""
     with said_in(words.where):
         return Controller(
@@ -121,7 +121,7 @@ def controller_table(controller: Controller) -> dict[str, Any]:
     }
 
 
-def read_schedule(words: Words, rate_hz: float) -> GainScheduled:
+def read_schedule(words: ConfigTable, rate_hz: float) -> GainScheduled:
     """The schedule of a table with `over` and `nodes`: a controller in each node of a grid, in any order."""
     words.need("over", "nodes")
     variables = tuple(_variable(table) for table in words.tables("over"))
@@ -129,7 +129,9 @@ def read_schedule(words: Words, rate_hz: float) -> GainScheduled:
     placed = {}
     for node in words.tables("nodes"):
         node.only("at", "controller")
-        one = Words({"name": words.text("name"), "controller": node.table.get("controller"), **shared}, node.where)
+        one = ConfigTable(
+            {"name": words.text("name"), "controller": node.table.get("controller"), **shared}, node.where
+        )
         placed[tuple(node.list_of_numbers("at"))] = read_controller(one, rate_hz)
     with said_in(words.where):
         wanted = list(product(*(v.knots for v in variables)))
@@ -145,7 +147,7 @@ def read_schedule(words: Words, rate_hz: float) -> GainScheduled:
         )
 
 
-def _variable(words: Words) -> Variable:
+def _variable(words: ConfigTable) -> Variable:
     words.only("name", "loop", "follows", "knots")
     words.need("name", "loop", "knots")
     with said_in(words.where):
@@ -170,12 +172,12 @@ def schedule_table(schedule: GainScheduled) -> dict[str, Any]:
     }
 
 
-def read_decoupling(words: Words) -> dict[str, float]:
+def read_decoupling(words: ConfigTable) -> dict[str, float]:
     """Weights, by loop, of the key `decoupling`; empty where it is missing."""
     return words.numbers("decoupling")
 
 
-def _read_recorded(words: Words, rate_hz: float) -> Controller | None:
+def _read_recorded(words: ConfigTable, rate_hz: float) -> Controller | None:
     """The controller of a run's loop, None without one."""
     if "controller" in words.table:
         return _recorded(read_controller(words, rate_hz))
@@ -195,7 +197,7 @@ def _recorded(controller: Controller) -> Controller:
     return controller
 
 
-def read_loop(words: Words, rate_hz: float) -> LoopSetup:
+def read_loop(words: ConfigTable, rate_hz: float) -> LoopSetup:
     """One `[[loop]]`; the controller and its keys, `reference` and `injected` may be missing.
 
     Refuses `computation_delay_s` and `added_hold`: the recorded plant contains both.
@@ -217,14 +219,14 @@ def read_loop(words: Words, rate_hz: float) -> LoopSetup:
     return loop
 
 
-def read_loops(words: Words, rate_hz: float) -> tuple[LoopSetup, ...]:
+def read_loops(words: ConfigTable, rate_hz: float) -> tuple[LoopSetup, ...]:
     """All `[[loop]]` of a file; refuses two of one name."""
     loops = tuple(read_loop(table, rate_hz) for table in words.tables("loop"))
     refuse_doubles((loop.name for loop in loops), words.where, "loops")
     return loops
 
 
-def read_outputs(words: Words) -> tuple[str, ...]:
+def read_outputs(words: ConfigTable) -> tuple[str, ...]:
     """The key `outputs`, empty where it is missing; each a column or a sum of columns of one known unit, once."""
     outputs = words.list_of_texts("outputs")
     with said_in(words.where):
@@ -253,14 +255,14 @@ def loop_table(loop: LoopSetup) -> dict[str, Any]:
         return table | controller_table(_recorded(loop.controller))
 
 
-def read_info(words: Words, file: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
+def read_info(words: ConfigTable, file: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
     """What is stated of a recording beside its file; refuses unknown words, excited loops that are none or doubled."""
     words.need("kind", "injection")
     _check_excited(words, [loop.name for loop in loops])
     return RecordingInfo(file, **{key.name: key.read(words) for key in INFO})
 
 
-def _check_excited(words: Words, names: list[str]) -> None:
+def _check_excited(words: ConfigTable, names: list[str]) -> None:
     """Refuse an `excites_also` without `excites`, unknown loops in both, and a loop named twice."""
     excites, also = words.maybe_text("excites"), words.list_of_texts("excites_also")
     if also and excites is None:
@@ -284,7 +286,7 @@ def _check_excited(words: Words, names: list[str]) -> None:
         )
 
 
-def read_recording(words: Words, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
+def read_recording(words: ConfigTable, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
     """One `[[recording]]` of a run folder; its file is a plain name with a table's ending."""
     words.only("file", "sha256", *INFO_KEYS)
     words.need("file", "kind", "injection")

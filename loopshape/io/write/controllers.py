@@ -10,7 +10,7 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.io.config_table import Words, read_words, refuse_doubles
+from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles
 from loopshape.io.files import write_toml
 from loopshape.io.run.run_tables import (
     CONTROLLER_KEYS,
@@ -63,7 +63,7 @@ def read_loop_controllers(path: Path) -> tuple[Controller | GainScheduled, ...]:
     return controllers
 
 
-def _read(words: Words, rate_hz: float) -> Controller | GainScheduled:
+def _read(words: ConfigTable, rate_hz: float) -> Controller | GainScheduled:
     if "nodes" in words.table:
         words.only("name", *CONTROLLER_KEYS[:-1], *SCHEDULE_KEYS)
         words.need("name")

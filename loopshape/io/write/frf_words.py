@@ -10,7 +10,7 @@ from loopshape.core.errors import UnreadableInputError
 from loopshape.core.json_ready import json_ready
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF, Hold
-from loopshape.io.config_table import Words
+from loopshape.io.config_table import ConfigTable
 from loopshape.io.files import short
 from loopshape.io.run.run_tables import controller_table, read_controller
 
@@ -63,7 +63,7 @@ def _held_by(header: Mapping[str, Any], where: str) -> Controller | None:
     if not held:
         return None
     table = {key: value for key, value in held.items() if key != "rate_hz"} | {"name": header["loop"]}
-    return read_controller(Words(table, where), float(held["rate_hz"]))
+    return read_controller(ConfigTable(table, where), float(held["rate_hz"]))
 
 
 def _flag(value: object) -> bool:

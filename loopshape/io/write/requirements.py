@@ -6,7 +6,7 @@ from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
-from loopshape.io.config_table import Words, is_number, read_words, refuse_doubles, said_in
+from loopshape.io.config_table import ConfigTable, is_number, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-requirements/1"
 
@@ -31,7 +31,7 @@ def read_required(path: Path) -> tuple[tuple[Requirements, ...], SeveralRequirem
     return requirements, _several(words.inner("several")) if "several" in words.table else None
 
 
-def _several(words: Words) -> SeveralRequirements:
+def _several(words: ConfigTable) -> SeveralRequirements:
     if "band_hz" in words.table:
         words.list_of_numbers("band_hz")
     for key in words.table:
@@ -41,7 +41,7 @@ def _several(words: Words) -> SeveralRequirements:
         return SeveralRequirements.from_table(words.table)
 
 
-def _read(words: Words) -> Requirements:
+def _read(words: ConfigTable) -> Requirements:
     words.text("name")
     for block in words.tables("structure"):
         _check_block(block)
@@ -63,7 +63,7 @@ def _read(words: Words) -> Requirements:
         return Requirements.from_table(words.table)
 
 
-def _check_block(words: Words) -> None:
+def _check_block(words: ConfigTable) -> None:
     """Refuse a parameter that is no number, no table of numbers and no parameter's name."""
     words.text("kind")
     for key, value in words.table.items():

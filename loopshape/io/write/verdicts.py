@@ -13,7 +13,7 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.requirement.requirements import Margins
 from loopshape.data.result.baseline import RANK, Checked
 from loopshape.data.result.verdict import Line, Verdict
-from loopshape.io.config_table import Words, refuse_doubles
+from loopshape.io.config_table import ConfigTable, refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
 from loopshape.io.run.run_tables import controller_table, read_controller
 
@@ -81,7 +81,7 @@ def _read(table: Mapping[str, Any], where: str) -> Checked:
     verdict = Verdict(str(table["loop"]), lines, margins, tuple(map(str, table["warnings"])))
     if verdict.outcome != table["outcome"]:
         raise ValueError(f"outcome {table['outcome']!r}, and its lines say {str(verdict.outcome)!r}")
-    words = Words(table["controller"], where)
+    words = ConfigTable(table["controller"], where)
     controller = read_controller(words, words.positive("rate_hz"))
     data = {str(name): str(mark) for name, mark in table["data"].items()}
     if set(data) != set(margins) or not margins:

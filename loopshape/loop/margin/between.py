@@ -19,7 +19,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.smoothing import SEED, drawn_errors
-from loopshape.loop.stability.mode_clusters import Crowd
+from loopshape.loop.stability.mode_clusters import ModeCluster
 from loopshape.loop.stability.sampling import SHARPEST, HiddenPole
 
 #: draws of the errors of lines that were not smoothed
@@ -170,7 +170,7 @@ def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, i
     return first, last, at, made, smooth[0]
 
 
-def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
+def turns_past_crowd(crowd: ModeCluster, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
     """Least and most whole turns that 1 + L turns more than the path past resonances that stand close together.
 
     Of all the ways that the lines allow. And how near to -1 the likeliest comes in each gap, (last - first,); the last
@@ -200,7 +200,7 @@ def turns_past_crowd(crowd: Crowd, loop: Loop, path: Path) -> tuple[int, int, Ar
 
 
 @lru_cache(maxsize=16)
-def _along(crowd: Crowd) -> tuple[Array, ComplexArray]:
+def _along(crowd: ModeCluster) -> tuple[Array, ComplexArray]:
     """Frequencies (ways, n) in Hz along the lines of a crowd, dense about its poles, and P there: of no controller."""
     at = _places(crowd.window.around[0], crowd.pole_hz)
     P = crowd.response(at, np.arange(len(at)))

@@ -56,7 +56,7 @@ UNEXACT = 0.01
 _ASIDE = np.array([-0.5, -0.25, -0.1, -0.03, 0.0, 0.03, 0.1, 0.25, 0.5])
 
 
-class Left(Enum):
+class Residual(Enum):
     """What poles leave of a stretch of lines: noise, more than it, or as much as chance, where they explain nothing."""
 
     NOISE = "noise"
@@ -64,7 +64,7 @@ class Left(Enum):
     SCATTER = "scatter"
 
 
-class Stretch(NamedTuple):
+class ClusterBand(NamedTuple):
     """Lines `first` .. `last` about gaps that neither noise nor one pole explains, and those fitted on with them."""
 
     first: int
@@ -74,7 +74,7 @@ class Stretch(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Crowd:
+class ModeCluster:
     """Resonances between lines `first` .. `last` that explain them together, and what may hide beside them.
 
     m poles at `pole_hz` (nc, m) with `residue` (nc, m) over a `polynomial` (nc, order + 1) in ln f, all times a
@@ -92,7 +92,7 @@ class Crowd:
     residue: ComplexArray
     polynomial: ComplexArray
     hidden: Array
-    left: Left
+    left: Residual
 
     def response(self, f: Array, ways: np.ndarray) -> ComplexArray:
         """P (n, k) in some `ways` (n,) at f (n, k) in Hz."""
@@ -109,7 +109,7 @@ class Crowd:
         return made
 
 
-def stretches(f: Array, rough: np.ndarray) -> Iterator[Stretch]:
+def cluster_bands(f: Array, rough: np.ndarray) -> Iterator[ClusterBand]:
     """One for each run of rough gaps (nf - 1,), fitted on with `BESIDE` lines aside, an octave at most, ten in all."""
     gaps = np.flatnonzero(rough)
     for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > BESIDE) + 1):
@@ -118,10 +118,10 @@ def stretches(f: Array, rough: np.ndarray) -> Iterator[Stretch]:
             low, high = np.searchsorted(f, [0.5 * f[first], 2.0 * f[last]])
             low, high = max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), rough.size)
             low = max(min(low, high + 1 - 2 * HALF), 0)
-            yield Stretch(first, last, low, min(max(high, low - 1 + 2 * HALF), rough.size))
+            yield ClusterBand(first, last, low, min(max(high, low - 1 + 2 * HALF), rough.size))
 
 
-def strays(f: Array, P: ComplexArray, variance: Array, stretch: Stretch) -> float:
+def interpolation_residual(f: Array, P: ComplexArray, variance: Array, stretch: ClusterBand) -> float:
     """How far the lines of a stretch leave a polynomial at most, in |P|.
 
     The residue of a pole in a gap is no larger than that times the gap: its tails would be.
@@ -131,7 +131,7 @@ def strays(f: Array, P: ComplexArray, variance: Array, stretch: Stretch) -> floa
     return float(np.max(np.abs(left * window.reference(window.around)[0] / window.weight[0])))
 
 
-def _window(f: Array, P: ComplexArray, variance: Array, stretch: Stretch) -> tuple[Windows, float]:
+def _window(f: Array, P: ComplexArray, variance: Array, stretch: ClusterBand) -> tuple[Windows, float]:
     """The lines of a stretch, and the delay in s taken out of them where that alone explains most of them."""
     order = int(np.clip(ORDER + (stretch.high - stretch.low - 12) // 4, ORDER, STEEPEST))
     rows = slice(stretch.low, stretch.high + 1)
@@ -152,8 +152,8 @@ def _misfit(window: Windows) -> float:
 
 
 def crowd_of(
-    f: Array, P: ComplexArray, variance: Array, freedom: float, stretch: Stretch, *, unstable: bool = False
-) -> Crowd:
+    f: Array, P: ComplexArray, variance: Array, freedom: float, stretch: ClusterBand, *, unstable: bool = False
+) -> ModeCluster:
     """What explains a stretch of lines f (nf,) of P with errors of `variance` (nf,).
 
     `freedom` is that of each variance; `unstable` says whether the plant may have poles in the right half plane. The
@@ -164,7 +164,9 @@ def crowd_of(
 
 
 @lru_cache(maxsize=256)
-def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, stretch: Stretch, unstable: bool) -> Crowd:
+def _remembered(
+    f: bytes, P: bytes, variance: bytes, freedom: float, stretch: ClusterBand, unstable: bool
+) -> ModeCluster:
     lines = np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance)
     window, delay_s = _window(*lines, stretch)
     fit = _Fit(window, float(lines[0][stretch.first]), float(lines[0][stretch.last]), unstable)
@@ -172,11 +174,11 @@ def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, stretch: St
     z, left = fit.grown(spare, 2.0 * min(freedom, 1e9))
     noise = max(fit.misfit(z) / max(spare - 2 * z.size, 1), 1.0)
     hidden = fit.one_of_several(z)
-    if left is Left.MORE:
+    if left is Residual.MORE:
         hidden = np.maximum(fit.unexplained(z, noise), hidden)
     poles, coefficients = (x.astype(np.complex64).astype(complex) for x in fit.allowed(z, noise))
     residue, polynomial = coefficients[:, : z.size], coefficients[:, z.size :]
-    return Crowd(stretch.low, stretch.high, window, delay_s, poles, residue, polynomial, hidden, left)
+    return ModeCluster(stretch.low, stretch.high, window, delay_s, poles, residue, polynomial, hidden, left)
 
 
 class _Fit:
@@ -204,7 +206,7 @@ class _Fit:
         """Residues (m,) of least misfit, in units of the reference."""
         return np.asarray(np.linalg.lstsq(self._columns(z), self.left, rcond=None)[0])
 
-    def grown(self, spare: int, freedom: float) -> tuple[ComplexArray, Left]:
+    def grown(self, spare: int, freedom: float) -> tuple[ComplexArray, Residual]:
         """The fewest poles that leave no more than noise, and whether any do; polynomials leave `spare` lines.
 
         None where they explain no more than chance would: the lines scatter.
@@ -221,8 +223,8 @@ class _Fit:
             quiet = misfit < spare * float(f_distribution.isf(FALSE_ALARM, 2 * spare, freedom))
             least = min(least, self._chance(none / misfit, z.size, spare))
         if first >= TELLS and none < SCATTERED * first and least > np.log(FALSE_ALARM):
-            return z[:0], Left.SCATTER
-        return z, Left.NOISE if quiet else Left.MORE
+            return z[:0], Residual.SCATTER
+        return z, Residual.NOISE if quiet else Residual.MORE
 
     def _chance(self, fell: float, poles: int, spare: int) -> float:
         """Logarithm of the chance that the misfit of lines without `poles` falls so many times and `spare` are left."""

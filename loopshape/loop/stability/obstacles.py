@@ -20,7 +20,16 @@ from loopshape.loop.margin.between import (
     without_narrow,
 )
 from loopshape.loop.stability.holes import hole
-from loopshape.loop.stability.mode_clusters import BESIDE, SHARPEST, Crowd, Left, Stretch, crowd_of, strays, stretches
+from loopshape.loop.stability.mode_clusters import (
+    BESIDE,
+    SHARPEST,
+    ClusterBand,
+    ModeCluster,
+    Residual,
+    cluster_bands,
+    crowd_of,
+    interpolation_residual,
+)
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
 
 #: a count is not given where the chance that the lines' errors make it wrong is above this
@@ -76,7 +85,7 @@ def sampling(loop: Loop, path: Path) -> Sampling:
     """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
     f = loop.frequency_hz
     crowds = _crowds(loop, path)
-    turns, followed, unclear = _past_crowds(loop, path, [x for x in crowds if x.left is not Left.SCATTER])
+    turns, followed, unclear = _past_crowds(loop, path, [x for x in crowds if x.left is not Residual.SCATTER])
     for pole in hidden_in(loop):
         if followed[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
             continue
@@ -90,10 +99,12 @@ def sampling(loop: Loop, path: Path) -> Sampling:
                 (float(f[first]), float(f[last])),
                 True,
             )
-    return Sampling(turns, followed, unclear or _scatters(loop, path, [x for x in crowds if x.left is Left.SCATTER]))
+    return Sampling(
+        turns, followed, unclear or _scatters(loop, path, [x for x in crowds if x.left is Residual.SCATTER])
+    )
 
 
-def _past_crowds(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> tuple[int, np.ndarray, Obstacle | None]:
+def _past_crowds(loop: Loop, path: Path, crowds: Sequence[ModeCluster]) -> tuple[int, np.ndarray, Obstacle | None]:
     """Turns past resonances that stand close together, gaps (nf - 1,) where they do, what is unclear of them."""
     f, C, unclear = loop.frequency_hz, _larger(np.abs(loop.C)), None
     turns, followed = 0, np.zeros(max(f.size - 1, 0), dtype=bool)
@@ -111,7 +122,7 @@ def _past_crowds(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> tuple[int, 
     return turns, followed, unclear
 
 
-def _scatters(loop: Loop, path: Path, crowds: Sequence[Crowd]) -> Obstacle | None:
+def _scatters(loop: Loop, path: Path, crowds: Sequence[ModeCluster]) -> Obstacle | None:
     """Gaps about which lines that scatter lie so near -1 that their error, a disk about them, holds it."""
     f, (rough, scatter) = loop.frequency_hz, rough_in(loop)
     for crowd in crowds:
@@ -154,7 +165,7 @@ def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
     return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
 
 
-def _crowds(loop: Loop, path: Path) -> list[Crowd]:
+def _crowds(loop: Loop, path: Path) -> list[ModeCluster]:
     """Resonances close together that might encircle -1, of measured lines: a narrow one may have been several."""
     found = stretches_in(loop)
     if not found:
@@ -168,17 +179,17 @@ def _crowds(loop: Loop, path: Path) -> list[Crowd]:
     ]
 
 
-def stretches_in(loop: Loop) -> tuple[Stretch, ...]:
+def stretches_in(loop: Loop) -> tuple[ClusterBand, ...]:
     """Stretches of a loop's measured lines that neither noise nor one pole explains, whatever its controller."""
-    return tuple(stretches(loop.frequency_hz, _not_one(loop)))
+    return tuple(cluster_bands(loop.frequency_hz, _not_one(loop)))
 
 
-def strays_in(loop: Loop, stretch: Stretch) -> float:
+def strays_in(loop: Loop, stretch: ClusterBand) -> float:
     """How far the lines of a stretch leave a polynomial at most, in |P|."""
-    return strays(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], stretch)
+    return interpolation_residual(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], stretch)
 
 
-def crowd_in(loop: Loop, stretch: Stretch) -> Crowd:
+def crowd_in(loop: Loop, stretch: ClusterBand) -> ModeCluster:
     """What explains the lines of a stretch, whatever the controller."""
     unstable = may_be_oscillatory(loop)
     return crowd_of(loop.frequency_hz, measured(loop).siso, *_spread(loop), stretch, unstable=unstable)

@@ -9,7 +9,7 @@ from typing import Any
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.operations import channels
 from loopshape.data.response.frf import FRF
-from loopshape.io.config_table import Words, read_words
+from loopshape.io.config_table import ConfigTable, read_words
 from loopshape.io.run.run_tables import CONTROLLER_KEYS, read_controller
 from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
@@ -36,7 +36,7 @@ def read_diagram(path: Path, run: Path) -> Diagram:
     )
 
 
-def _part(words: Words, rate_hz: float, run: Path) -> Part:
+def _part(words: ConfigTable, rate_hz: float, run: Path) -> Part:
     words.only(*_KEYS, *CONTROLLER_KEYS)
     words.need("name", "in", "out")
     what: Any = None
@@ -50,11 +50,11 @@ def _part(words: Words, rate_hz: float, run: Path) -> Part:
     return Part(words.text("name"), _signals(words, "in"), _signals(words, "out"), what, poles[0], poles[1])
 
 
-def _signals(words: Words, key: str) -> tuple[str, ...]:
+def _signals(words: ConfigTable, key: str) -> tuple[str, ...]:
     return (words.text(key),) if isinstance(words.table[key], str) else words.list_of_texts(key)
 
 
-def _plants(words: Words, run: Path) -> tuple[FRF, ...]:
+def _plants(words: ConfigTable, run: Path) -> tuple[FRF, ...]:
     if isinstance(words.table["plant"], str):
         name = words.text("plant")
         found = tuple(frf for frf in read_frfs(run) if frf.loop == name)

@@ -11,7 +11,7 @@ from loopshape.data.control.controller import Block
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.signal.excitation import Excitation, Profile, Sampled, Staircase
 from loopshape.data.signal.excitation_sets import MOST_REALISATIONS, realised, together
-from loopshape.data.signal.experiment import LoopSetup, Told
+from loopshape.data.signal.experiment import ExperimentSettings, LoopSetup
 from loopshape.toolbox.diagrams.wired import Wired
 from loopshape.toolbox.rig.settings import TargetSettings
 
@@ -20,7 +20,7 @@ Setpoint = Staircase | Profile
 
 
 @dataclass(frozen=True, eq=False)
-class ExperimentTemplate(Told):
+class ExperimentTemplate(ExperimentSettings):
     """One `[[experiment]]` of a study, to be done at each of its operating points.
 
     `references` moves setpoints by loop, `control` drives z by loop with the loops open; both in stored units.

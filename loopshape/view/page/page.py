@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from importlib.resources import files
 
 from loopshape.view.html.markup import Markup, head, json_block, tag
-from loopshape.view.page.payload import Shaped, payload
+from loopshape.view.page.payload import ShapingSession, payload
 
 #: the script, built from `src` by esbuild; `npm ci && npm run build` in this folder makes it anew
 SCRIPT, STYLE = "shape.js", "shape.css"
 
 
-def shape_page(loops: Sequence[Shaped], title: str, version: str, *, saved: str | None = None) -> str:
+def shape_page(loops: Sequence[ShapingSession], title: str, version: str, *, saved: str | None = None) -> str:
     """The whole page as HTML; the same loops give the same text. Of a server, it may ask it and no other,
     and says which content of the server's file, `saved`, it may replace.
     """

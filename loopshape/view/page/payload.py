@@ -37,7 +37,7 @@ from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
-from loopshape.loop.stability.mode_clusters import Left, Stretch
+from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
 from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 
@@ -49,7 +49,7 @@ FORMAT = "loopshape-shape/1"
 
 
 @dataclass(frozen=True, eq=False)
-class Others:
+class ClosedLoops:
     """Loops of the same plant that are closed while one is shaped, and the unstable poles that it meets then."""
 
     controllers: tuple[Controller, ...]
@@ -61,7 +61,7 @@ class Others:
 
 
 @dataclass(frozen=True, eq=False)
-class Shaped:
+class ShapingSession:
     """One loop of the page: its FRFs, where shaping starts, what is required, and what a check says of that start.
 
     Where it is one of several, its FRFs are of the plant that it meets with the `others` closed.
@@ -72,14 +72,14 @@ class Shaped:
     requirements: Requirements
     fits: tuple[Fit, ...]
     verdict: Verdict
-    others: Others | None = None
+    others: ClosedLoops | None = None
 
     def judged(self, wished: Requirements) -> Requirements:
         """What is required of the plant that is met."""
         return wished if self.others is None else self.others.judged(wished)
 
 
-def payload(loops: Sequence[Shaped], title: str, version: str) -> dict[str, Any]:
+def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[str, Any]:
     """All that the page knows, for JSON."""
     return {
         "format": FORMAT,
@@ -164,7 +164,7 @@ def _state(seed: int) -> dict[str, str]:
     return {name: f"{state[name]:x}" for name in ("state", "inc")}
 
 
-def _loop(one: Shaped) -> dict[str, Any]:
+def _loop(one: ShapingSession) -> dict[str, Any]:
     wished = one.judged(one.requirements)
     loops, notes = loops_of(one.frfs, one.controller, wished, one.fits)
     return {
@@ -342,7 +342,7 @@ def _between_lines(loop: Loop) -> dict[str, Any]:
     """Resonances close together, fitted, and where lines scatter: of the plant alone."""
     crowds = [_crowd(loop, stretch) for stretch in obstacles.stretches_in(loop)]
     rough, scatter = obstacles.rough_in(loop)
-    tells = scatter.any() or any(one["left"] == Left.SCATTER.value for one in crowds)
+    tells = scatter.any() or any(one["left"] == Residual.SCATTER.value for one in crowds)
     return {
         "crowds": crowds,
         "scattered": np.flatnonzero(scatter).tolist(),
@@ -350,7 +350,7 @@ def _between_lines(loop: Loop) -> dict[str, Any]:
     }
 
 
-def _crowd(loop: Loop, stretch: Stretch) -> dict[str, Any]:
+def _crowd(loop: Loop, stretch: ClusterBand) -> dict[str, Any]:
     """A stretch of lines and the ways in which poles explain it: those as complex64, as they are kept."""
     crowd = obstacles.crowd_in(loop, stretch)
     return {

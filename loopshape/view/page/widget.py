@@ -18,7 +18,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import SCRIPT, STYLE, resource
 from loopshape.view.page.payload import (
-    Shaped,
+    ShapingSession,
     controller_from,
     controller_words,
     payload,
@@ -50,7 +50,7 @@ class ShapeWidget(anywidget.AnyWidget):  # type: ignore[misc,unused-ignore]
     controller = _synced(Controller, controller_words, controller_from)
     requirements = _synced(Requirements, requirement_words, requirements_from)
 
-    def __init__(self, one: Shaped, title: str, version: str) -> None:
+    def __init__(self, one: ShapingSession, title: str, version: str) -> None:
         self._one = one
         super().__init__(
             script=resource(SCRIPT), style=resource(STYLE),

@@ -5,7 +5,7 @@ import pytest
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, problem_of, servos, wished
 
 import loopshape as ls
-from loopshape.core.kernels.loops.quick_evaluate import glance
+from loopshape.core.kernels.loops.quick_evaluate import quick_evaluate
 from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear
@@ -70,9 +70,9 @@ def test_a_glance_ends_early_only_where_no_limit_holds_and_nothing_is_gained() -
     q, rng, ended = glanced(p), np.random.default_rng(4), 0
     for _ in range(150):
         e = Evaluation(p, p.low + rng.random(p.low.size) * (p.high - p.low))
-        merit, holds = glance(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
+        merit, holds = quick_evaluate(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
         for enough in (merit - 0.1, merit + 0.1, -1.0):
-            found, held = glance(q, 1.0, e.C, e.C[p.above], e.below, enough)
+            found, held = quick_evaluate(q, 1.0, e.C, e.C[p.above], e.below, enough)
             assert held == holds
             assert found == merit or (np.isinf(found) and merit >= enough and not holds)
             ended += bool(np.isinf(found) and np.isfinite(merit))

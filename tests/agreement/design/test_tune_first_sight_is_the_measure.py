@@ -6,7 +6,7 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, s
 
 from loopshape.core.kernels.loops.encirclements import NO_FIT, count_unstable
 from loopshape.core.kernels.loops.flat_loops import mark_peaks, series
-from loopshape.core.kernels.loops.quick_evaluate import glance
+from loopshape.core.kernels.loops.quick_evaluate import quick_evaluate
 from loopshape.data.control.block import series_response
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import begin
@@ -36,7 +36,7 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
     for _ in range(150):
         x = p.low + rng.random(p.low.size) * (p.high - p.low)
         e = Evaluation(p, x)
-        merit, _ = glance(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
+        merit, _ = quick_evaluate(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
         measured = begin(p, x).merit
         assert np.isfinite(merit) == np.isfinite(measured)
         if np.isfinite(merit):

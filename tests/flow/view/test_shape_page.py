@@ -25,7 +25,7 @@ import loopshape as ls
 from loopshape.verbs.shape_server import ShapeServer
 from loopshape.verbs.shaping import SeveralLoops, shaped
 from loopshape.view.page import page as page_module
-from loopshape.view.page.payload import Shaped, controller_words
+from loopshape.view.page.payload import ShapingSession, controller_words
 
 SOURCES = Path(page_module.__file__).parent
 
@@ -399,7 +399,7 @@ def test_the_scripts_are_built_from_their_sources(tmp_path: Path) -> None:
 
 
 @contextmanager
-def served(loops: list[Shaped], folder: Path, several: SeveralLoops | None = None) -> Iterator[ShapeServer]:
+def served(loops: list[ShapingSession], folder: Path, several: SeveralLoops | None = None) -> Iterator[ShapeServer]:
     made = ShapeServer(loops, "bench", folder / "controller.toml", several)
     thread = Thread(target=made.serve)
     thread.start()

@@ -18,7 +18,17 @@ import pytest
 
 import loopshape
 from loopshape.toolbox.rig.target.frames import Frame, Receiver
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Ended, Samples, Say, Status, begin, rows, setpoint
+from loopshape.toolbox.rig.target.messages import (
+    Configuration,
+    Ended,
+    Request,
+    Response,
+    Samples,
+    Status,
+    begin,
+    rows,
+    setpoint,
+)
 
 TARGET = Path(loopshape.__file__).parent / "toolbox" / "rig" / "c_target"
 CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "blocks.c", "stream.c", "frames.c")
@@ -110,19 +120,19 @@ class Bench:
             self._tag = self._tag % 65535 + 1
         before = len(self.frames)
         self.send(Frame(what, self._tag if tag is None else tag, payload).encoded)
-        (at,) = (k for k in range(before, len(self.frames)) if self.frames[k].type in (Say.OK, Say.NO))
+        (at,) = (k for k in range(before, len(self.frames)) if self.frames[k].type in (Response.OK, Response.NO))
         return self.frames.pop(at)
 
     def ok(self, what: int, payload: bytes = b"") -> bytes:
         """Ask what must be done."""
         answer = self.request(what, payload)
-        assert answer.type == Say.OK, (what, answer.payload)
+        assert answer.type == Response.OK, (what, answer.payload)
         return answer.payload
 
     def no(self, what: int, payload: bytes = b"") -> int:
         """Ask what must be refused; the code."""
         answer = self.request(what, payload)
-        assert answer.type == Say.NO, what
+        assert answer.type == Response.NO, what
         assert answer.payload[2] == len(answer.payload) - 3 > 0
         return struct.unpack("<H", answer.payload[:2])[0]
 
@@ -131,27 +141,27 @@ class Bench:
         self.configuration = Configuration(**{**vars(self.configuration), **changes})
         for what, payload in self.configuration.frames():
             self.ok(what, payload)
-        self.ready = self.ok(Ask.READY)  # what ARM repeats
+        self.ready = self.ok(Request.READY)  # what ARM repeats
         return struct.unpack("<I", self.ready[:4])[0]
 
     def arm(self, sensors: tuple[float, ...] = (0.0, 0.5, 0.5), **changes: object) -> None:
         """Configured and armed at these sensors."""
         self.tick(1, sensors)
         self.configure(**changes)
-        self.ok(Ask.ARM, self.ready)
+        self.ok(Request.ARM, self.ready)
 
     def record(self, table: np.ndarray, columns: int, injection: int = 0, run: int = 1, go: bool = True) -> None:
         """Announce a recording with these rows, upload what there is room for, go."""
-        self.ok(Ask.BEGIN, begin(run, len(table), injection, columns, 0, False))
+        self.ok(Request.BEGIN, begin(run, len(table), injection, columns, 0, False))
         for first in range(0, min(len(table), 64), 32):
-            self.ok(Ask.ROWS, rows(run, first, table[first : min(first + 32, 64)], self.number))
+            self.ok(Request.ROWS, rows(run, first, table[first : min(first + 32, 64)], self.number))
         if go:
-            self.ok(Ask.GO, struct.pack("<I", run))
+            self.ok(Request.GO, struct.pack("<I", run))
 
     def watched(self, sensors: np.ndarray) -> np.ndarray:
         """Samples of a recording with these sensors (n, 3), the first as they are now, and nothing injected."""
-        self.ok(Ask.BEGIN, begin(1, len(sensors), 0, 0, 0, False))
-        self.ok(Ask.GO, struct.pack("<I", 1))
+        self.ok(Request.BEGIN, begin(1, len(sensors), 0, 0, 0, False))
+        self.ok(Request.GO, struct.pack("<I", 1))
         while self.status().tick == 0:
             self.tick(1)
         for k in range(1, len(sensors), 100):
@@ -163,11 +173,11 @@ class Bench:
 
     def to_setpoint(self, *references: float) -> None:
         """References there in no time."""
-        self.ok(Ask.SETPOINT, setpoint(0.0, references))
+        self.ok(Request.SETPOINT, setpoint(0.0, references))
 
     def status(self, run: int = 0, received: int = 0) -> Status:
         """The answer to ALIVE."""
-        return Status.read(self.ok(Ask.ALIVE, struct.pack("<II", run, received)), self.number)
+        return Status.read(self.ok(Request.ALIVE, struct.pack("<II", run, received)), self.number)
 
     def taken(self) -> list[Frame]:
         """What came unasked, since last time."""
@@ -176,14 +186,14 @@ class Bench:
 
     def samples(self, width: int = 11) -> np.ndarray:
         """All samples that came unasked, in order (ticks, width); ENDED stays."""
-        mine = [Samples.read(f, width, self.number) for f in self.frames if f.type == Say.SAMPLES]
-        self.frames = [f for f in self.frames if f.type != Say.SAMPLES]
+        mine = [Samples.read(f, width, self.number) for f in self.frames if f.type == Response.SAMPLES]
+        self.frames = [f for f in self.frames if f.type != Response.SAMPLES]
         for before, after in pairwise(mine):
             assert after.first == before.first + len(before.table)
         return np.vstack([s.table for s in mine]) if mine else np.empty((0, width))
 
     def ended(self) -> Ended:
         """The one ENDED that came."""
-        (one,) = (f for f in self.frames if f.type == Say.ENDED)
+        (one,) = (f for f in self.frames if f.type == Response.ENDED)
         self.frames.remove(one)
         return Ended.read(one.payload)

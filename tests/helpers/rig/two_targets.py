@@ -6,7 +6,7 @@ from axis_study import target
 from python_target_frames import body_of
 
 from loopshape.toolbox.rig.target.frames import Frame
-from loopshape.toolbox.rig.target.messages import Say
+from loopshape.toolbox.rig.target.messages import Response
 
 
 class Second:
@@ -18,13 +18,13 @@ class Second:
     def ok(self, what: int, payload: bytes = b"") -> bytes:
         """Ask what must be done."""
         kind, said = self._asked(what, payload)
-        assert kind == Say.OK, (what, said)
+        assert kind == Response.OK, (what, said)
         return said
 
     def no(self, what: int, payload: bytes = b"") -> int:
         """Ask what must be refused; the code."""
         kind, said = self._asked(what, payload)
-        assert kind == Say.NO, what
+        assert kind == Response.NO, what
         return int(struct.unpack("<H", said[:2])[0])
 
     def close(self) -> None:

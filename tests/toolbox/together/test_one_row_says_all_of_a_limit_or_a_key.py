@@ -12,9 +12,9 @@ from verdict_cases import CONTROLLER, margins
 
 import loopshape as ls
 from loopshape.data.requirement.limits_over import MASKED
-from loopshape.data.signal.experiment import Told
+from loopshape.data.signal.experiment import ExperimentSettings
 from loopshape.design.structure import NEAR
-from loopshape.io.config_table import Words
+from loopshape.io.config_table import ConfigTable
 from loopshape.io.run.run_tables import INFO, TOLD, read_recording, recording_table
 from loopshape.loop.points import CLOSENESS
 from loopshape.toolbox.limits.bound_nodes import COUNTED, counted
@@ -78,7 +78,7 @@ def test_a_recordings_keys_are_the_fields_of_its_noun():
 
 
 def test_what_an_experiment_tells_is_said_in_the_same_words_by_study_and_run():
-    told = {f.name for f in fields(Told)}
+    told = {f.name for f in fields(ExperimentSettings)}
     assert {key.name for key in TOLD} == told
     assert told <= set(_EXPERIMENT_KEYS)
 
@@ -92,4 +92,4 @@ def test_every_key_of_a_recording_comes_back_as_it_was():
     assert plain == ["closed_loop"]  # the rest is not at its default, so a key that is not written shows
     for info in (filled, replace(filled, injection="control", closed_loop=False)):
         written = {key: value for key, value in recording_table(info).items() if value is not None}
-        assert read_recording(Words(written, "r1"), LOOPS) == info
+        assert read_recording(ConfigTable(written, "r1"), LOOPS) == info

@@ -9,7 +9,7 @@ from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, servos, w
 
 import loopshape as ls
 from loopshape.design.search import begin
-from loopshape.design.tighten import Settled
+from loopshape.design.tighten import TightenedSolution
 from loopshape.design.tune import _no_worse, tune, warm_start
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
@@ -73,7 +73,7 @@ def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
         return ls.check(PLANTS, controller, ASKED)
 
     def settled(x):
-        return Settled(begin(p, x), judge(p.controller(x)), {})
+        return TightenedSolution(begin(p, x), judge(p.controller(x)), {})
 
     slow, _ = warm_start(p, SLOW)
     slower, wild = slow.copy(), slow.copy()

@@ -14,7 +14,7 @@ from loopshape.core.kernels.loops.margins import COLUMNS, LN_BANDWIDTH_HZ, LN_WE
 _WORST = 30.0
 
 
-class Glanced(NamedTuple):
+class QuickReadings(NamedTuple):
     """Plants on flat lines, and what is asked of their loops.
 
     `measured` (points,) are the first lines that were measured, `reach` (nf,) the radii of P's 95 % circles, `fitted`
@@ -50,8 +50,8 @@ class Glanced(NamedTuple):
 
 
 @compiled
-def glance(
-    q: Glanced, gain: float, C: ComplexArray, above: ComplexArray, below: ComplexArray, enough: float
+def quick_evaluate(
+    q: QuickReadings, gain: float, C: ComplexArray, above: ComplexArray, below: ComplexArray, enough: float
 ) -> tuple[float, bool]:
     """-(objective) + penalty (worst miss) of `gain` C, inf where a loop is unstable, and whether all limits hold.
 
@@ -89,7 +89,7 @@ def glance(
 
 
 @compiled
-def _room(q: Glanced, p: int, found: Array) -> float:
+def _room(q: QuickReadings, p: int, found: Array) -> float:
     """Least room of the limits at operating point p."""
     room = np.inf
     for c in range(COLUMNS):
@@ -99,7 +99,7 @@ def _room(q: Glanced, p: int, found: Array) -> float:
 
 
 @compiled
-def _sure(q: Glanced, p: int, L: ComplexArray, C: ComplexArray) -> float:
+def _sure(q: QuickReadings, p: int, L: ComplexArray, C: ComplexArray) -> float:
     """Room of what keeps the count sure: -1 outside the 95 % circles, |L| above 1 at the first line."""
     a, largest = q.first[p], 0.0
     for k in range(L.size):
@@ -109,7 +109,7 @@ def _sure(q: Glanced, p: int, L: ComplexArray, C: ComplexArray) -> float:
 
 
 @compiled
-def _bandwidth(q: Glanced, p: int, L: ComplexArray, seen: float) -> float:
+def _bandwidth(q: QuickReadings, p: int, L: ComplexArray, seen: float) -> float:
     """ln of the first 0 dB crossing; below the lowest line along the integrators' slope."""
     if seen > -np.inf:
         return seen

@@ -52,7 +52,7 @@ from loopshape.core.units import SUFFIXES, to_stored
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
-from loopshape.io.config_table import Words, read_words, said_in
+from loopshape.io.config_table import ConfigTable, read_words, said_in
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import plain_name, short
 from loopshape.io.run.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
@@ -154,7 +154,7 @@ def read_map(map_file: Path, default_name: str, *, accept_draft: bool = False) -
     )
 
 
-def _draft(words: Words, accepted: bool) -> tuple[str, ...]:
+def _draft(words: ConfigTable, accepted: bool) -> tuple[str, ...]:
     """The guesses of a draft; empty for a map that somebody wrote or confirmed."""
     if "draft" not in words.table:
         return ()
@@ -174,7 +174,7 @@ def _draft(words: Words, accepted: bool) -> tuple[str, ...]:
     return guesses
 
 
-def _resample(words: Words) -> bool:
+def _resample(words: ConfigTable) -> bool:
     resample = words.truth("resample", False)
     if resample and "time" not in words.table:
         raise WrongUseError(
@@ -185,7 +185,7 @@ def _resample(words: Words) -> bool:
     return resample
 
 
-def _read_csv(words: Words) -> CsvShape:
+def _read_csv(words: ConfigTable) -> CsvShape:
     words.only("separator", "header", "skip_rows", "decimal", "unit_rows", "encoding")
     separator = words.text("separator", ",")
     separator = _SEPARATORS.get(separator, separator)
@@ -202,7 +202,7 @@ def _read_csv(words: Words) -> CsvShape:
     return CsvShape(separator, header, words.whole("skip_rows", 0), decimal, words.whole("unit_rows", 0), encoding)
 
 
-def _read_columns(words: Words) -> tuple[tuple[ColumnRule, ...], tuple[MadeRule, ...]]:
+def _read_columns(words: ConfigTable) -> tuple[tuple[ColumnRule, ...], tuple[MadeRule, ...]]:
     """Columns that come from the file, and those that are made of others."""
     if TIME in words.table:
         raise WrongUseError(f"{words.where}: t_s is made from rate_hz", "a rule for it", "write time = { ... } instead")
@@ -213,7 +213,7 @@ def _read_columns(words: Words) -> tuple[tuple[ColumnRule, ...], tuple[MadeRule,
     return rules, tuple(read_made(stored, table) for stored, table in tables.items() if "sum" in table.table)
 
 
-def _refuse_no_control(words: Words) -> None:
+def _refuse_no_control(words: ConfigTable) -> None:
     """A loop whose control was not logged: with its controller the control can be computed."""
     for loop in words.tables("loop"):
         if "control" in loop.table:
@@ -225,7 +225,7 @@ def _refuse_no_control(words: Words) -> None:
         )  # fmt: skip
 
 
-def _read_rule(stored: str, words: Words) -> ColumnRule:
+def _read_rule(stored: str, words: ConfigTable) -> ColumnRule:
     words.only("from", "column", "row", "unit", "sign", "gain", "offset", "clock" if stored == TIME else "time")
     unit = words.text("unit")
     with said_in(words.where):
@@ -245,7 +245,7 @@ def _read_rule(stored: str, words: Words) -> ColumnRule:
     return ColumnRule(stored, _read_place(words), scale, factor * words.number("offset", 0.0), own)
 
 
-def _read_place(words: Words) -> Place:
+def _read_place(words: ConfigTable) -> Place:
     if not {"from", "column"} & set(words.table):
         raise WrongUseError(f"{words.where}: it comes from nowhere", "no from", 'write from = "name in the file"')
     return Place(
@@ -253,7 +253,7 @@ def _read_place(words: Words) -> Place:
     )  # fmt: skip
 
 
-def _count(words: Words, key: str) -> int | None:
+def _count(words: ConfigTable, key: str) -> int | None:
     """A number that counts from 1, or None where it is missing."""
     number = words.whole(key, 1)
     if number < 1:
@@ -261,14 +261,14 @@ def _count(words: Words, key: str) -> int | None:
     return number if key in words.table else None
 
 
-def _rows(words: Words) -> tuple[int, int | None]:
+def _rows(words: ConfigTable) -> tuple[int, int | None]:
     first, last = _count(words, "from_row") or 1, _count(words, "to_row")
     if last is not None and last <= first:
         raise WrongUseError(f"{words.where}: to_row lies above from_row", f"from {first} to {last}", "let it rise")
     return first - 1, last
 
 
-def _episodes(words: Words) -> tuple[int, ...]:
+def _episodes(words: ConfigTable) -> tuple[int, ...]:
     """Numbers of the episodes that are taken; empty for all."""
     numbers = words.list_of_numbers("episodes") if "episodes" in words.table else ()
     if len(set(numbers)) != len(numbers) or not all(x >= 0 and x.is_integer() for x in numbers):
@@ -276,7 +276,7 @@ def _episodes(words: Words) -> tuple[int, ...]:
     return tuple(int(x) for x in numbers)
 
 
-def _read_info(words: Words, default_name: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
+def _read_info(words: ConfigTable, default_name: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
     words.only("name", "from_row", "to_row", "episodes", *INFO_KEYS)
     with said_in(words.where):
         name = plain_name(words.text("name", default_name), "the name of a recording")

@@ -23,7 +23,7 @@ from loopshape.core.units import SUFFIXES
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import LoopSetup
-from loopshape.io.config_table import Words
+from loopshape.io.config_table import ConfigTable
 
 _TERM = re.compile(r"\s*([+-]?)\s*(?:(\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)\s*\*?\s*)?([A-Za-z_]\w*)")
 _SIGNALS = ("reference", "injected", "control", "output")
@@ -57,7 +57,7 @@ def read_terms(text: str, where: str) -> Terms:
     return tuple(found)
 
 
-def read_made(stored: str, words: Words) -> MadeRule:
+def read_made(stored: str, words: ConfigTable) -> MadeRule:
     """One rule with `sum`; refuses terms of several units, and a sum in another unit than its column's."""
     words.only("sum", "controller")
     made = MadeRule(stored, read_terms(words.text("sum"), words.where), words.maybe_text("controller"))
@@ -88,7 +88,7 @@ def _one_unit(made: MadeRule, own: str) -> str:
     return f"bring {name} to the other's unit by a gain under [columns], {rule}, and add that without the factor"
 
 
-def made_of_loops(words: Words) -> tuple[Words, tuple[MadeRule, ...]]:
+def made_of_loops(words: ConfigTable) -> tuple[ConfigTable, tuple[MadeRule, ...]]:
     """A map's words with each sum under `[[loop]]` replaced by a column's name, and the rules of these columns."""
     loops, rules = [], []
     for loop in words.tables("loop"):
@@ -104,7 +104,7 @@ def made_of_loops(words: Words) -> tuple[Words, tuple[MadeRule, ...]]:
             _unit_of(rules[-1], loop.where)
             table[key] = stored
         loops.append(table)
-    return Words({**words.table, "loop": loops} if loops else words.table, words.where), tuple(rules)
+    return ConfigTable({**words.table, "loop": loops} if loops else words.table, words.where), tuple(rules)
 
 
 def _is_plain(text: str, key: str) -> bool:

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.io.config_table import Words, read_words, said_in
+from loopshape.io.config_table import ConfigTable, read_words, said_in
 from loopshape.io.files import clear, inside, part_of, reading, short
 from loopshape.io.size_limit import check_zip
 from loopshape.toolbox.gap.nouns.axis import axis
@@ -93,7 +93,7 @@ def read_model(path: Path) -> Model | Mechanism | Unit:
         )
 
 
-def _axis(path: Path, words: Words) -> Model:
+def _axis(path: Path, words: ConfigTable) -> Model:
     words.only(*_AXIS)
     words.need("effort", "position", "numbers")
     rotary = words.one_of("axis", ("rotary", "linear")) == "rotary"
@@ -114,7 +114,7 @@ def _axis(path: Path, words: Words) -> Model:
         return replace(made, kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")))
 
 
-def _with_tolerance(numbers: Words, name: str) -> float | tuple[float, float]:
+def _with_tolerance(numbers: ConfigTable, name: str) -> float | tuple[float, float]:
     """A number as it stands, or the value and the tolerance of a table."""
     if not isinstance(numbers.table[name], dict):
         return numbers.number(name)
@@ -123,17 +123,17 @@ def _with_tolerance(numbers: Words, name: str) -> float | tuple[float, float]:
     return (w.number("value"), w.number("tolerance")) if "tolerance" in w.table else w.number("value")
 
 
-def _column(w: Words, name: str) -> Input:
+def _column(w: ConfigTable, name: str) -> Input:
     w.only("column", "factor", "tolerance")
     return Input(name, w.text("column"), _factor(w), w.number("tolerance", 0.0))
 
 
-def _sensor(w: Words, name: str, state: str) -> Output:
+def _sensor(w: ConfigTable, name: str, state: str) -> Output:
     w.only("column", "factor", "offset", "leaves")
     return Output(name, state, w.text("column"), _factor(w), offset=w.number("offset", 0.0), leaves=_leaves(w))
 
 
-def _mechanism(path: Path, words: Words) -> Mechanism:
+def _mechanism(path: Path, words: ConfigTable) -> Mechanism:
     words.only(*_MUJOCO)
     words.need("sensors", "actuators")
     spread = words.inner("spread")
@@ -157,7 +157,7 @@ def _mechanism(path: Path, words: Words) -> Mechanism:
         )
 
 
-def _motor(w: Words) -> dict[str, float]:
+def _motor(w: ConfigTable) -> dict[str, float]:
     """Numbers of a DC motor, none where an actuator has a column alone."""
     given = [key for key in _MOTOR if key in w.table]
     if given:
@@ -165,7 +165,7 @@ def _motor(w: Words) -> dict[str, float]:
     return {key: w.number(key) if key in LAW else w.positive(key) for key in given}
 
 
-def _unit(path: Path, words: Words) -> Unit:
+def _unit(path: Path, words: ConfigTable) -> Unit:
     words.only(*_FMU)
     words.need("parameter", "input", "output")
     folder, description = _unpacked(path.parent, words.text("fmu"))
@@ -224,7 +224,7 @@ def _unpacked(folder: Path, file: str) -> tuple[str, Any]:
     return target, description
 
 
-def _each(w: Words, *also: str) -> Iterator[tuple[str, Words]]:
+def _each(w: ConfigTable, *also: str) -> Iterator[tuple[str, ConfigTable]]:
     """Name and table of each column, its factor and what else it may have."""
     for name in w.table:
         own = w.inner(name)
@@ -265,7 +265,7 @@ def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
     return found
 
 
-def _parameter(w: Words, start: float | None = None) -> ModelParameter:
+def _parameter(w: ConfigTable, start: float | None = None) -> ModelParameter:
     """A parameter; where the simulator states a start value, that is its nominal one."""
     w.only("name", "value", "unit", "tolerance", "effect", "range", "shaped_by")
     ends = w.list_of_numbers("range") if "range" in w.table else None
@@ -282,14 +282,14 @@ def _parameter(w: Words, start: float | None = None) -> ModelParameter:
     )
 
 
-def _kind(folder: Path, w: Words) -> Kind:
+def _kind(folder: Path, w: ConfigTable) -> Kind:
     """A kind of effect of the user's own; its Python file is run."""
     w.only("name", "port", "file", "function", "number")
     numbers = tuple(_parameter(n, 0.0 if "range" in n.table else None) for n in w.tables("number"))
     return Kind(w.text("name"), w.text("port"), _function(folder, w.text("file"), w.text("function")), numbers)
 
 
-def _factor(w: Words) -> float:
+def _factor(w: ConfigTable) -> float:
     """The unit's and the sign's factor; 0 is refused."""
     value = w.number("factor", 1.0)
     if value == 0.0:
@@ -299,7 +299,7 @@ def _factor(w: Words) -> float:
     return value
 
 
-def _input(w: Words) -> Input:
+def _input(w: ConfigTable) -> Input:
     w.only("name", "column", "factor", "tolerance", "unit", "schedules")
     return Input(
         w.text("name"),
@@ -311,18 +311,18 @@ def _input(w: Words) -> Input:
     )
 
 
-def _output(w: Words) -> Output:
+def _output(w: ConfigTable) -> Output:
     w.only("name", "state", "column", "factor", "unit", "offset", "leaves")
     read = (w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"))
     return Output(*read, w.number("offset", 0.0), _leaves(w))
 
 
-def _leaves(w: Words) -> float | None:
+def _leaves(w: ConfigTable) -> float | None:
     """Rms that a good model leaves of an output, None where that is not stated."""
     return w.positive("leaves") if "leaves" in w.table else None
 
 
-def _port(w: Words) -> Port:
+def _port(w: ConfigTable) -> Port:
     w.only("name", "input", "position", "speed", "motor_inertia", "motor_damping", "unit")
     inertia, damping = w.maybe_text("motor_inertia"), w.maybe_text("motor_damping")
     where = (w.text("input"), w.text("position"), w.text("speed"))

@@ -32,7 +32,7 @@ from loopshape.data.signal.excitation import (
     Sweep,
 )
 from loopshape.data.signal.excitation_sets import LOOP_STEP
-from loopshape.io.config_table import Words, said_in
+from loopshape.io.config_table import ConfigTable, said_in
 from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {
@@ -47,7 +47,7 @@ KEY_UNITS |= {"n": "N", "kn": "kN", "nm": "N m", "m": "m", "mm": "mm", "um": "um
 _LIMITS = {"velocity": "_s", "acceleration": "_s2", "jerk": "_s3"}
 
 
-def _unit_of(words: Words, quantity: str) -> str:
+def _unit_of(words: ConfigTable, quantity: str) -> str:
     """The unit in a key such as `amplitude_deg`; refuses none, two, and unknown ones."""
     keys = [key for key in words.table if key == quantity or key.startswith(quantity + "_")]
     unit = keys[0].removeprefix(quantity + "_") if keys else ""
@@ -60,7 +60,7 @@ def _unit_of(words: Words, quantity: str) -> str:
     return unit
 
 
-def read_excitation(words: Words, seed: int) -> tuple[Excitation, str]:
+def read_excitation(words: ConfigTable, seed: int) -> tuple[Excitation, str]:
     """An excitation with its amplitude in the stored unit, and that unit's suffix; `seed` if it has none.
 
     Refuses unknown kinds and keys, missing keys, and numbers that the excitation refuses.
@@ -81,7 +81,7 @@ def read_excitation(words: Words, seed: int) -> tuple[Excitation, str]:
     return made, suffix
 
 
-def read_excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
+def read_excitations(words: ConfigTable, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
     """Excitations of several loops at once, by loop, and the suffix of each one's unit.
 
     A loop without a seed of its own gets `seed` and an offset that no other loop gets. Refuses what
@@ -100,7 +100,7 @@ def read_excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], di
     return {loop: made for loop, (made, _) in read.items()}, {loop: suffix for loop, (_, suffix) in read.items()}
 
 
-def _field(words: Words, key: str, kind: str) -> Any:
+def _field(words: ConfigTable, key: str, kind: str) -> Any:
     readers: dict[str, Callable[[], Any]] = {
         "float": lambda: words.number(key),
         "int": lambda: words.whole(key, 0),
@@ -110,7 +110,7 @@ def _field(words: Words, key: str, kind: str) -> Any:
     return readers.get(kind, lambda: words.list_of_numbers(key))()
 
 
-def read_setpoints(words: Words) -> tuple[dict[str, Setpoint], dict[str, str]]:
+def read_setpoints(words: ConfigTable) -> tuple[dict[str, Setpoint], dict[str, str]]:
     """Setpoints by loop in stored units, and the suffix of each one's unit."""
     read = {loop: _setpoint(words.inner(loop)) for loop in words.table}
     return {loop: setpoint for loop, (setpoint, _) in read.items()}, {
@@ -118,7 +118,7 @@ def read_setpoints(words: Words) -> tuple[dict[str, Setpoint], dict[str, str]]:
     }
 
 
-def _setpoint(words: Words) -> tuple[Setpoint, str]:
+def _setpoint(words: ConfigTable) -> tuple[Setpoint, str]:
     kind = words.one_of("kind", ("staircase", "profile"))
     unit = _unit_of(words, "values")
     limits = {name: f"{name}_{unit}{per}" for name, per in _LIMITS.items()} if kind == "profile" else {}

@@ -48,7 +48,7 @@ from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.signal.excitation import Excitation
 from loopshape.data.signal.excitation_sets import together
 from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES
-from loopshape.io.config_table import Words, read_words, refuse_doubles, said_in
+from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles, said_in
 from loopshape.io.files import inside, plain_name
 from loopshape.io.provenance import file_sha256
 from loopshape.io.run.run_tables import SCHEDULE_KEYS, TOLD, read_blocks, read_decoupling, read_loops, read_schedule
@@ -111,7 +111,7 @@ def read_study(path: Path) -> Study:
     )
 
 
-def _points(words: Words) -> Points | None:
+def _points(words: ConfigTable) -> Points | None:
     if "operating_points" not in words.table:
         return None
     points = tuple({name: t.number(name) for name in t.table} for t in words.tables("operating_points"))
@@ -120,12 +120,12 @@ def _points(words: Words) -> Points | None:
     return points
 
 
-def _pwm(words: Words) -> dict[str, float]:
+def _pwm(words: ConfigTable) -> dict[str, float]:
     words.inner("pwm").only("frequency_hz", "dead_zone")
     return words.numbers("pwm")
 
 
-def _controllers(words: Words) -> dict[str, tuple[Block, ...]]:
+def _controllers(words: ConfigTable) -> dict[str, tuple[Block, ...]]:
     tables = words.tables("loop")
     for table in tables:
         table.only("name", "controller", *SCHEDULE_KEYS, "decoupling")
@@ -135,7 +135,7 @@ def _controllers(words: Words) -> dict[str, tuple[Block, ...]]:
     return {table.text("name"): read_blocks(table) for table in tables if "controller" in table.table}
 
 
-def _refuse_both(table: Words) -> None:
+def _refuse_both(table: ConfigTable) -> None:
     """A loop has a controller or a schedule; with a decoupling alone it keeps the plant's controller."""
     given = [key for key in ("controller", "nodes") if key in table.table]
     if not given and "decoupling" not in table.table:
@@ -144,12 +144,12 @@ def _refuse_both(table: Words) -> None:
         raise WrongUseError(f"{table.where}: a loop has a controller or a schedule", "both", "write one of them")
 
 
-def _schedules(words: Words, rate_hz: float) -> dict[str, GainScheduled]:
+def _schedules(words: ConfigTable, rate_hz: float) -> dict[str, GainScheduled]:
     return {t.text("name"): read_schedule(t, rate_hz) for t in words.tables("loop") if "nodes" in t.table}
 
 
 def _experiments(
-    words: Words, seed: int, folder: Path, rate_hz: float
+    words: ConfigTable, seed: int, folder: Path, rate_hz: float
 ) -> list[tuple[ExperimentTemplate, dict[str, Any]]]:
     """The experiments that one `[[experiment]]` stands for, each with the stored units of its signals."""
     template, units = _experiment(words, seed)
@@ -160,7 +160,7 @@ def _experiments(
         return [(one, units) for one in expanded(template, realisations)]
 
 
-def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, Any]]:
+def _experiment(words: ConfigTable, seed: int) -> tuple[ExperimentTemplate, dict[str, Any]]:
     """One experiment as it is written, and the stored units of its signals."""
     words.only(*_EXPERIMENT_KEYS)
     signals, signal_units = _excitations(words, seed)
@@ -191,7 +191,7 @@ def _experiment(words: Words, seed: int) -> tuple[ExperimentTemplate, dict[str, 
 
 
 def _helped(
-    words: Words, template: ExperimentTemplate, units: dict[str, Any], folder: Path, rate_hz: float
+    words: ConfigTable, template: ExperimentTemplate, units: dict[str, Any], folder: Path, rate_hz: float
 ) -> tuple[ExperimentTemplate, dict[str, Any]]:
     """The experiment with the feedforwards of files beside the study; refuses them with an excitation or open loops."""
     if template.excitation is not None or template.control or template.injection != "reference":
@@ -207,7 +207,7 @@ def _helped(
     return made, units | {"feedforward": {loop: unit for loop, (_, unit) in read.items()}, "files": digests}
 
 
-def _excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
+def _excitations(words: ConfigTable, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
     """Excitations by loop, and the suffix of each one's unit; empty where nothing is excited."""
     if "excitations" in words.table:
         if doubled := [key for key in ("excites", "excitation") if key in words.table]:
@@ -229,14 +229,14 @@ def _excitations(words: Words, seed: int) -> tuple[dict[str, Excitation], dict[s
     return {loop: made}, {loop: unit}
 
 
-def _from_zero(words: Words, key: str) -> float:
+def _from_zero(words: ConfigTable, key: str) -> float:
     value = words.number(key, 0.0)
     if value < 0.0:
         raise WrongUseError(f"{words.where}: {key} must not be negative", f"{value:g}")
     return value
 
 
-def _check_whole(words: Words, excitation: Excitation | None, references: Setpoints, control: Setpoints) -> None:
+def _check_whole(words: ConfigTable, excitation: Excitation | None, references: Setpoints, control: Setpoints) -> None:
     """Refuse an experiment whose length is not stated, or stated twice, or whose loops are closed and open."""
     if (excitation is None) != ("duration_s" in words.table):
         raise WrongUseError(

@@ -25,12 +25,12 @@ from math import inf
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
-from loopshape.io.config_table import Words, said_in
+from loopshape.io.config_table import ConfigTable, said_in
 from loopshape.toolbox.rig.files.signals import KEY_UNITS
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 
 
-def read_target(words: Words) -> TargetSettings | None:
+def read_target(words: ConfigTable) -> TargetSettings | None:
     """The settings, or None for a rig that is no target. Refuses unknown keys, units, and a target without limits."""
     if words.text("rig") != "target":
         if given := [key for key in ("target", "limits") if key in words.table]:
@@ -55,7 +55,7 @@ def read_target(words: Words) -> TargetSettings | None:
         )
 
 
-def _limit(name: str, words: Words) -> Limit:
+def _limit(name: str, words: ConfigTable) -> Limit:
     """Limits of one column: low_<unit>, high_<unit> and, if required, rate_<unit>_s, all in one unit."""
     unit = next((key.removeprefix("low_") for key in words.table if key.startswith("low_")), "")
     if unit not in KEY_UNITS:

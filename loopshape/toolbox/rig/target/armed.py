@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from loopshape.core.errors import LoopshapeError, RigError
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.toolbox.rig.settings import TargetSettings
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Reason, State
+from loopshape.toolbox.rig.target.messages import Configuration, Reason, Request, State
 from loopshape.toolbox.rig.target.session import RefusedError, Session
 
 
@@ -32,10 +32,10 @@ def arm(session: Session, settings: TargetSettings, loops: Sequence[LoopSetup], 
     """Configure and arm. From here on the machine may move. Refuses a real target that is not idle."""
     status = session.status()
     if status.state is not State.IDLE and session.identity.emulated:
-        session.ask(Ask.DISARM)
+        session.ask(Request.DISARM)
         status = session.status()
         if status.state is State.FAULT:
-            session.ask(Ask.CLEAR)
+            session.ask(Request.CLEAR)
             status = session.status()
     if status.state is not State.IDLE:
         raise RigError(
@@ -48,7 +48,7 @@ def arm(session: Session, settings: TargetSettings, loops: Sequence[LoopSetup], 
     refused = None
     with vented_on_error(session):
         try:
-            session.ask(Ask.ARM, ready)
+            session.ask(Request.ARM, ready)
         except RefusedError as error:  # it is still idle: there is nothing to vent
             refused = error
     if refused is not None:
@@ -66,7 +66,7 @@ def vented(session: Session) -> None:
     session.vented = True
     for _ in range(2):
         try:
-            session.ask(Ask.VENT)
+            session.ask(Request.VENT)
             return
         except LoopshapeError:
             continue

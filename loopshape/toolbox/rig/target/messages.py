@@ -19,7 +19,7 @@ from loopshape.toolbox.rig.target.scheduling import Scheduling
 PROTOCOL = 1
 
 
-class Ask(IntEnum):
+class Request(IntEnum):
     """Types of requests."""
 
     IDENTIFY = 0x01
@@ -44,7 +44,7 @@ class Ask(IntEnum):
     OUTPUT = 0x14
 
 
-class Say(IntEnum):
+class Response(IntEnum):
     """Types of what a target says."""
 
     OK = 0x81
@@ -199,20 +199,20 @@ class Configuration:
     dead_zone: float = 0.0
     blocks: tuple[Block, ...] = ()
 
-    def frames(self) -> list[tuple[Ask, bytes]]:
+    def frames(self) -> list[tuple[Request, bytes]]:
         """The requests that configure, in the order of the digest."""
-        said = [(Ask.CONFIGURE, self._configure())]
-        said += [(Ask.BLOCK, block.payload(k)) for k, block in enumerate(self.blocks)]
+        said = [(Request.CONFIGURE, self._configure())]
+        said += [(Request.BLOCK, block.payload(k)) for k, block in enumerate(self.blocks)]
         for loop, sections in enumerate(self.sections):
             if isinstance(sections, Scheduling):
                 head, nodes = sections.payloads(loop)
-                said += [(Ask.SCHEDULE, head), *((Ask.NODES, part) for part in nodes)]
+                said += [(Request.SCHEDULE, head), *((Request.NODES, part) for part in nodes)]
             elif isinstance(sections, int):
-                said += [(Ask.OUTPUT, bytes((loop, sections)))]
+                said += [(Request.OUTPUT, bytes((loop, sections)))]
             else:
                 said += _sections(loop, sections)
         return said + [
-            (Ask.LIMIT, struct.pack("<Bddd", k, *map(float, limit))) for k, limit in enumerate(self.limits.tolist())
+            (Request.LIMIT, struct.pack("<Bddd", k, *map(float, limit))) for k, limit in enumerate(self.limits.tolist())
         ]
 
     def _configure(self) -> bytes:
@@ -231,11 +231,11 @@ class Configuration:
         return check
 
 
-def _sections(loop: int, table: Array) -> list[tuple[Ask, bytes]]:
+def _sections(loop: int, table: Array) -> list[tuple[Request, bytes]]:
     most = LONGEST_PAYLOAD // 40 - 1
     pieces = [(k, table[k : k + most]) for k in range(0, len(table), most)]
     return [
-        (Ask.SECTIONS, struct.pack("<BBB", loop, k, len(part)) + np.asarray(part, "<f8").tobytes())
+        (Request.SECTIONS, struct.pack("<BBB", loop, k, len(part)) + np.asarray(part, "<f8").tobytes())
         for k, part in pieces
     ]
 

@@ -17,13 +17,22 @@ from loopshape.core.errors import LoopshapeError, RigError
 from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.frames import Frame, Receiver
 from loopshape.toolbox.rig.target.link import Link
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Ended, Identity, Payload, Samples, Say, Status
+from loopshape.toolbox.rig.target.messages import (
+    Configuration,
+    Ended,
+    Identity,
+    Payload,
+    Request,
+    Response,
+    Samples,
+    Status,
+)
 
 ANSWER_S = 0.25
 TRIES = 5
 SHORTEST_S = 0.02
 #: requests that may be done twice: each try has a tag of its own, as a repeated frame feeds no watchdog
-_TWICE = (Ask.ALIVE, Ask.ROWS, Ask.AGAIN)
+_TWICE = (Request.ALIVE, Request.ROWS, Request.AGAIN)
 NO_PLACE = 9  # refusal: another host is connected
 BUSY_S = 60.0  # a host that is busy for longer than this is as good as gone
 
@@ -44,14 +53,14 @@ class Session:
     @cached_property
     def identity(self) -> Identity:
         """What the target says of itself, asked once."""
-        return Identity.read(self.ask(Ask.IDENTIFY, messages.PROTOCOL.to_bytes(2, "little")))
+        return Identity.read(self.ask(Request.IDENTIFY, messages.PROTOCOL.to_bytes(2, "little")))
 
     @property
     def bad_frames(self) -> int:
         """How many frames arrived spoilt."""
         return self._receiver.bad
 
-    def ask(self, what: Ask, payload: bytes = b"") -> bytes:
+    def ask(self, what: Request, payload: bytes = b"") -> bytes:
         """Send a request until it is answered; its answer's payload. Refused or unanswered, it is a `RigError`."""
         self._awaited, self._answer = set(), None
         over = self._clock() + TRIES * ANSWER_S
@@ -70,8 +79,8 @@ class Session:
             "the target does not answer", f"nothing to {what.name} in {TRIES * ANSWER_S:g} s", "check cable and power"
         )
 
-    def _accepted(self, what: Ask, answer: Frame) -> bytes:
-        if answer.type == Say.OK:
+    def _accepted(self, what: Request, answer: Frame) -> bytes:
+        if answer.type == Response.OK:
             return answer.payload
         p = Payload(answer.payload)
         code = p.one("H")
@@ -81,7 +90,7 @@ class Session:
     def listen(self, wait_s: float) -> None:
         """Take in what has come, waiting at most `wait_s`."""
         for frame in self._receiver.take(self._link.read(wait_s)):
-            if frame.type in (Say.OK, Say.NO):
+            if frame.type in (Response.OK, Response.NO):
                 if frame.tag in self._awaited:
                     self._answer = frame
             else:
@@ -132,7 +141,7 @@ class Session:
         """Configure, and let the target confirm by its digest, which it must share; gives what ARM repeats."""
         for what, payload in configuration.frames():
             self.ask(what, payload)
-        ready = self.ask(Ask.READY)
+        ready = self.ask(Request.READY)
         theirs, ours = Payload(ready).one("I"), configuration.digest
         if theirs != ours:
             raise RigError(
@@ -143,7 +152,7 @@ class Session:
     def status(self, run: int = 0, received: int = 0) -> Status:
         """How the target is; tells it how many samples of a run are here without a gap."""
         payload = run.to_bytes(4, "little") + received.to_bytes(4, "little")
-        return Status.read(self.ask(Ask.ALIVE, payload), self.identity.number)
+        return Status.read(self.ask(Request.ALIVE, payload), self.identity.number)
 
     def samples(self, frame: Frame, loops: int) -> Samples:
         """A frame of samples of this many loops."""
@@ -157,7 +166,7 @@ class Session:
 class RefusedError(RigError):
     """The target said NO: `code` as in the protocol's page."""
 
-    def __init__(self, what: Ask, code: int, said: str) -> None:
+    def __init__(self, what: Request, code: int, said: str) -> None:
         self.code = code
         word = messages.REFUSALS.get(code, f"code {code}")
         super().__init__(

@@ -16,7 +16,7 @@ from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.armed import Armed, beat_s, reason_words, vented
 from loopshape.toolbox.rig.target.frames import Frame
 from loopshape.toolbox.rig.target.intake import Intake
-from loopshape.toolbox.rig.target.messages import Ask, Ended, Payload, Reason, Say, State
+from loopshape.toolbox.rig.target.messages import Ended, Payload, Reason, Request, Response, State
 from loopshape.toolbox.rig.target.session import RefusedError
 
 INJECTION = {"controller_input": 0, "plant_input": 1, "control": 2, "reference": 0}
@@ -50,10 +50,10 @@ class Taking:
 
     def told(self, frame: Frame) -> None:
         """A frame that came unasked."""
-        if frame.type == Say.SAMPLES:
+        if frame.type == Response.SAMPLES:
             new = self._intake.take(self._session.samples(frame, len(self._armed.loops)))
             self._watch(len(new))
-        elif frame.type == Say.ENDED:
+        elif frame.type == Response.ENDED:
             ended = self._session.ended(frame)
             if ended.run == self._intake.run:
                 self._ended = self._ended or self._believed(ended)
@@ -104,7 +104,7 @@ class Taking:
 
     def _go(self) -> None:
         try:
-            self._session.ask(Ask.GO, self._id)
+            self._session.ask(Request.GO, self._id)
         except RefusedError as error:
             status = self._session.status()
             raise RigError(
@@ -158,7 +158,7 @@ class Taking:
             start_state(self._e.seed),
             place,
         )
-        return Payload(self._session.ask(Ask.BEGIN, payload)).one("I")
+        return Payload(self._session.ask(Request.BEGIN, payload)).one("I")
 
     def _upload(self, room: int) -> None:
         """Send as many rows as there is room for, once: what else is to be done must not wait for the last of them."""
@@ -168,7 +168,7 @@ class Taking:
             part = self._rows[self._uploaded : min(end, self._uploaded + most)]
             payload = messages.rows(self._intake.run, self._uploaded, part, self._session.identity.number)
             try:
-                taken, _ = Payload(self._session.ask(Ask.ROWS, payload)).take("II")
+                taken, _ = Payload(self._session.ask(Request.ROWS, payload)).take("II")
             except RefusedError as error:
                 if error.code not in (NOT_NOW, UNKNOWN):
                     raise
@@ -215,7 +215,7 @@ class Taking:
         self._asked_to, self._asked_s = first + lacking, now
         payload = self._id + first.to_bytes(4, "little") + lacking.to_bytes(2, "little")
         try:
-            self._session.ask(Ask.AGAIN, payload)
+            self._session.ask(Request.AGAIN, payload)
         except RefusedError as error:
             if error.code != GONE:
                 raise
@@ -229,7 +229,7 @@ class Taking:
         """A limit is passed in what arrived and the target has not ended the run: stop it from here."""
         self._session.listen(LISTEN_S)
         if self._ended is None and self._session.status().state is State.RUNNING:
-            self._session.ask(Ask.VENT)
+            self._session.ask(Request.VENT)
 
     def columns(self, ticks: int) -> dict[str, Array]:
         """The recording's columns, as a run folder has them."""

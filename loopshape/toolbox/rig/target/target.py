@@ -26,7 +26,7 @@ from loopshape.toolbox.rig.target.armed import beat_s, reason_words
 from loopshape.toolbox.rig.target.armed import vented as vented
 from loopshape.toolbox.rig.target.armed import vented_on_error as vented_on_error
 from loopshape.toolbox.rig.target.blocks import Block, blocks
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Ended, Identity, Reason, Say, State
+from loopshape.toolbox.rig.target.messages import Configuration, Ended, Identity, Reason, Request, Response, State
 from loopshape.toolbox.rig.target.scheduling import Scheduling
 from loopshape.toolbox.rig.target.taking import KEPT, Arrived, Taking
 
@@ -173,7 +173,7 @@ def drive(
                 if armed.configuration.hold:
                     vented(armed.session)  # loops stay closed only while a host is there
                 return
-        armed.session.ask(Ask.DISARM)
+        armed.session.ask(Request.DISARM)
 
 
 def _again(armed: Armed) -> bool:
@@ -181,8 +181,8 @@ def _again(armed: Armed) -> bool:
     if not armed.session.identity.emulated:
         return False
     if armed.session.status().state is State.FAULT:
-        armed.session.ask(Ask.CLEAR)
-        armed.session.ask(Ask.ARM, armed.session.configure(armed.configuration))
+        armed.session.ask(Request.CLEAR)
+        armed.session.ask(Request.ARM, armed.session.configure(armed.configuration))
     return True
 
 
@@ -207,11 +207,11 @@ def _record(armed: Armed, e: Experiment, number: int, keeper: Keeper) -> tuple[R
 def _reach(armed: Armed, e: Experiment, place: bool) -> None:
     """Move to where the recording starts and rest there; an emulated machine is put there."""
     ramp_s = armed.settings.soft_start_s
-    armed.session.ask(Ask.SETPOINT, messages.setpoint(ramp_s, e.references[0].tolist()))
+    armed.session.ask(Request.SETPOINT, messages.setpoint(ramp_s, e.references[0].tolist()))
     if place:
         return
     endings: list[Ended] = []
-    armed.session.unasked = lambda f: endings.append(armed.session.ended(f)) if f.type == Say.ENDED else None
+    armed.session.unasked = lambda f: endings.append(armed.session.ended(f)) if f.type == Response.ENDED else None
     for _ in range(int((ramp_s + armed.settings.settle_s) / beat_s(armed)) + 1):
         until = armed.session.last_sent_s + beat_s(armed)
         status = armed.session.status()

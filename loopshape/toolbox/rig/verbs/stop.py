@@ -9,7 +9,7 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError
 from loopshape.toolbox.rig.files.measuring import driver
 from loopshape.toolbox.rig.target.link import open_link
-from loopshape.toolbox.rig.target.messages import REFUSALS, Ask
+from loopshape.toolbox.rig.target.messages import REFUSALS, Request
 from loopshape.toolbox.rig.target.session import NO_PLACE, RefusedError, Session
 
 BAUD = 921_600
@@ -44,10 +44,10 @@ def _through(port: str, baud: int, clear: bool) -> str:
     """Vent through a port of our own, and clear the fault that this is, if asked."""
     with open_link(port, baud) as link:
         session = Session(link)
-        session.ask(Ask.VENT)  # before anything else is asked
+        session.ask(Request.VENT)  # before anything else is asked
         try:
             if clear:
-                session.ask(Ask.CLEAR)
+                session.ask(Request.CLEAR)
             state = session.status().state
         except RefusedError as error:
             if clear or error.code != NO_PLACE:

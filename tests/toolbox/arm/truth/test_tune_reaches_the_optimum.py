@@ -13,7 +13,7 @@ from source_controllers import angle_controller
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.design.search import LARGEST, begin, search
-from loopshape.design.tighten import settle
+from loopshape.design.tighten import tighten_limits
 from loopshape.loop.verdict import loops_of, verdict_on
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
@@ -250,7 +250,7 @@ def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
         return verdict_on(named, limits, detuned=False)
 
     begun = begin(p, np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55]))
-    found = settle(p, search(p, begun, LARGEST, 300), judge)
+    found = tighten_limits(p, search(p, begun, LARGEST, 300), judge)
     assert found.verdict.passed
     assert len(found.verdict.margins) == 24
     assert read.min() <= 2

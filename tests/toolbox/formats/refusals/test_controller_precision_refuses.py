@@ -8,7 +8,7 @@ import pytest
 from bench_nouns import Block, LoopSetup, step
 
 import loopshape as ls
-from loopshape.io.config_table import Words
+from loopshape.io.config_table import ConfigTable
 from loopshape.io.run.run_tables import loop_table, read_loop
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 
@@ -159,7 +159,7 @@ def test_a_run_s_loop_has_no_delay_or_hold_of_its_own():
         with pytest.raises(
             ls.errors.WrongUseError, match=r"contains the hold and the delay of its controller.*leave them out of a"
         ):
-            read_loop(Words(LOOP | setting, "run.toml"), 100.0)
+            read_loop(ConfigTable(LOOP | setting, "run.toml"), 100.0)
     late = ls.Controller("axis", (GAIN,), 100.0, computation_delay_s=1e-3)
     with pytest.raises(
         ls.errors.WrongUseError, match=r"loop 'axis': a recording .*computation_delay_s = 0.001, added_hold = false"
@@ -175,7 +175,7 @@ def test_settings_without_a_controller():
         with pytest.raises(
             ls.errors.WrongUseError, match=f"run.toml: {key} goes with a controller; received no controller"
         ):
-            read_loop(Words(bare | {key: value}, "run.toml"), 100.0)
+            read_loop(ConfigTable(bare | {key: value}, "run.toml"), 100.0)
 
 
 FILE = """

@@ -10,7 +10,7 @@ from target_cases import GAIN, Bench
 from two_targets import Second
 
 from loopshape.toolbox.rig.target.frames import Frame
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Say, setpoint
+from loopshape.toolbox.rig.target.messages import Configuration, Request, Response, setpoint
 
 WATCHDOG_MS = 100
 ROOM = 1e-12  # of an integrator's rounding: docs/protocol.md
@@ -28,7 +28,7 @@ class C:
         """Bytes from the host; the answers that they got, as types and payloads."""
         self.bench.taken()
         self.bench.send(data)
-        return [(f.type, f.payload) for f in self.bench.taken() if f.type in (Say.OK, Say.NO)]
+        return [(f.type, f.payload) for f in self.bench.taken() if f.type in (Response.OK, Response.NO)]
 
     def passes(self, ms):
         self.bench.tick(ms)
@@ -97,39 +97,39 @@ class Host:
 
     def ok(self, what, payload=b""):
         kind, said = self.ask(what, payload)
-        assert kind == Say.OK, (what, said)
+        assert kind == Response.OK, (what, said)
         return said
 
     def no(self, what, payload=b""):
         kind, said = self.ask(what, payload)
-        assert kind == Say.NO, what
+        assert kind == Response.NO, what
         return int.from_bytes(said[:2], "little")
 
     def ready(self):
         for what, payload in self.one.configuration.frames():
             self.ok(what, payload)
-        return self.ok(Ask.READY)
+        return self.ok(Request.READY)
 
     def arm(self):
-        self.ok(Ask.ARM, self.ready())
+        self.ok(Request.ARM, self.ready())
         assert self.one.moves
 
 
 def alive(tag):
-    return Frame(Ask.ALIVE, tag, bytes(8)).encoded
+    return Frame(Request.ALIVE, tag, bytes(8)).encoded
 
 
 #: what came in place of a host, from a tag on, again and again: the attack, and what a broken program sends
 STRANGE = {
     "an unknown type": lambda tag: (Frame(0x3F, t).encoded for t in range(tag, tag + 1000)),
-    "a refused GO": lambda tag: (Frame(Ask.GO, t, bytes(4)).encoded for t in range(tag, tag + 1000)),
-    "a malformed ALIVE": lambda tag: (Frame(Ask.ALIVE, t, bytes(7)).encoded for t in range(tag, tag + 1000)),
+    "a refused GO": lambda tag: (Frame(Request.GO, t, bytes(4)).encoded for t in range(tag, tag + 1000)),
+    "a malformed ALIVE": lambda tag: (Frame(Request.ALIVE, t, bytes(7)).encoded for t in range(tag, tag + 1000)),
     "an ALIVE with tag 0": lambda tag: cycle([alive(0)]),
     "one ALIVE": lambda tag: cycle([alive(tag)]),
     "two ALIVEs in turn": lambda tag: cycle([alive(tag), alive(tag + 1)]),
     "forty ALIVEs in a circle": lambda tag: cycle([alive(tag + k) for k in range(40)]),
     "an ALIVE of another count": lambda tag: (alive((tag + 30_000 + k) % 65535 + 1) for k in range(1000)),
-    "answers": lambda tag: (Frame(Say.OK, t, bytes(8)).encoded for t in range(tag, tag + 1000)),
+    "answers": lambda tag: (Frame(Response.OK, t, bytes(8)).encoded for t in range(tag, tag + 1000)),
     "the request before": lambda tag: cycle([alive(tag - 1)]),
 }
 
@@ -155,7 +155,7 @@ def test_a_host_that_goes_on_is_enough_whatever_is_lost_of_it(one):
     host.arm()
     for k in range(200):
         one.passes(30)
-        assert host.ask(Ask.ALIVE, bytes(8))[0] == Say.OK
+        assert host.ask(Request.ALIVE, bytes(8))[0] == Response.OK
         host.tag = (host.tag + (250 if k == 100 else 0) - 1) % 65535 + 1
     assert one.moves
     one.passes(WATCHDOG_MS + 10)
@@ -167,9 +167,9 @@ def test_another_connection_neither_feeds_nor_moves_what_it_did_not_arm(one):
     host.arm()
     one.connected()
     one.passes(50)
-    assert host.ask(Ask.ALIVE, bytes(8))[0] == Say.OK  # answered, and no sign of the host that armed
-    assert host.no(Ask.SETPOINT, setpoint(0.0, [0.1, 0.1])) == 9
-    assert host.no(Ask.BEGIN, struct.pack("<IIBHQB", 1, 5, 0, 2, 0, 0)) == 9
+    assert host.ask(Request.ALIVE, bytes(8))[0] == Response.OK  # answered, and no sign of the host that armed
+    assert host.no(Request.SETPOINT, setpoint(0.0, [0.1, 0.1])) == 9
+    assert host.no(Request.BEGIN, struct.pack("<IIBHQB", 1, 5, 0, 2, 0, 0)) == 9
     one.passes(WATCHDOG_MS - 40)
     assert not one.moves
 
@@ -177,36 +177,36 @@ def test_another_connection_neither_feeds_nor_moves_what_it_did_not_arm(one):
 def test_a_recorded_connection_arms_nothing(one):
     """The bytes of a whole session, ARM and SETPOINT among them, played once more: on a new connection and this one."""
     host = Host(one)
-    host.ok(Ask.IDENTIFY, b"\1\0")
+    host.ok(Request.IDENTIFY, b"\1\0")
     host.arm()
-    host.ok(Ask.SETPOINT, setpoint(0.0, [0.1, 0.1]))
-    host.ok(Ask.DISARM)
+    host.ok(Request.SETPOINT, setpoint(0.0, [0.1, 0.1]))
+    host.ok(Request.DISARM)
     for again in (one.connected, lambda: None):
         again()
-        refused = [struct.unpack("<H", said[:2])[0] for kind, said in one.take(host.sent) if kind == Say.NO]
+        refused = [struct.unpack("<H", said[:2])[0] for kind, said in one.take(host.sent) if kind == Response.NO]
         assert refused[0] == 10
         assert not one.moves
 
 
 def test_each_ready_gives_another_number_that_serves_one_arm(one):
     host = Host(one)
-    first, second = host.ready(), host.ok(Ask.READY)
+    first, second = host.ready(), host.ok(Request.READY)
     assert len({first[4:], second[4:], bytes(8)}) == 3
-    assert host.no(Ask.ARM, first) == 10
-    assert host.no(Ask.ARM, second[:4] + bytes(8)) == 10
-    host.ok(Ask.ARM, second)
-    host.ok(Ask.DISARM)
-    assert host.no(Ask.ARM, second) == 10
-    third = host.ok(Ask.READY)
+    assert host.no(Request.ARM, first) == 10
+    assert host.no(Request.ARM, second[:4] + bytes(8)) == 10
+    host.ok(Request.ARM, second)
+    host.ok(Request.DISARM)
+    assert host.no(Request.ARM, second) == 10
+    third = host.ok(Request.READY)
     one.connected()
-    assert host.no(Ask.ARM, third) == 10  # of another connection
+    assert host.no(Request.ARM, third) == 10  # of another connection
     assert not one.moves
 
 
 def test_an_older_host_is_told_why_it_cannot_arm(one):
     host = Host(one)
-    kind, said = host.ask(Ask.ARM, host.ready()[:4])
-    assert (kind, int.from_bytes(said[:2], "little")) == (Say.NO, 2)
+    kind, said = host.ask(Request.ARM, host.ready()[:4])
+    assert (kind, int.from_bytes(said[:2], "little")) == (Response.NO, 2)
     assert b"host" in said
     assert b"READY" in said
 
@@ -228,7 +228,7 @@ def test_a_pole_outside_the_unit_circle_is_refused_and_an_integrator_is_not(one,
     cascade = np.vstack([sections(0.5, 0.4), sections(*poles)][:: 1 if place else -1])
     asked = Configuration(**changed | {"sections": (cascade, GAIN)})
     answers = [host.ask(what, payload) for what, payload in asked.frames()]
-    refused = [int.from_bytes(said[:2], "little") for kind, said in answers if kind == Say.NO]
+    refused = [int.from_bytes(said[:2], "little") for kind, said in answers if kind == Response.NO]
     assert (refused[:1] == [3]) == (poles in OUTSIDE)
 
 

@@ -15,7 +15,7 @@ from two_targets import Second
 
 import loopshape as ls
 from loopshape.toolbox.rig.target.blocks import Block
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Identity, begin
+from loopshape.toolbox.rig.target.messages import Configuration, Identity, Request, begin
 
 RATE = 1000.0
 COUPLING = 0.2
@@ -127,8 +127,8 @@ def test_the_core_in_c_steps_as_the_simulation(name):
     sections = tuple(given.get(f"axis{k}", GAIN) for k in (1, 2))
     bench = Bench(built())
     bench.arm(tuple(sensors[0]), watchdog_ms=60000, limits=WIDE, outputs=np.eye(2, 3), sections=sections, blocks=made)
-    bench.ok(Ask.BEGIN, begin(1, n, 1, 0, 0, False))
-    bench.ok(Ask.GO, struct.pack("<I", 1))
+    bench.ok(Request.BEGIN, begin(1, n, 1, 0, 0, False))
+    bench.ok(Request.GO, struct.pack("<I", 1))
     while bench.status().tick == 0:
         bench.tick(1)
     for k in range(1, n, 100):
@@ -226,10 +226,10 @@ def test_the_digest_covers_blocks(either):
     one, configuration = either
     for what, payload in configuration.frames():
         one.ok(what, payload)
-    assert int.from_bytes(one.ok(Ask.READY)[:4], "little") == configuration.digest
+    assert int.from_bytes(one.ok(Request.READY)[:4], "little") == configuration.digest
     late = replace(configuration, blocks=(BLOCKS[0], replace(BLOCKS[1], delay=1)))
     assert len({configuration.digest, late.digest, replace(configuration, sections=(1, GAIN)).digest}) == 3
-    assert Identity.read(one.ok(Ask.IDENTIFY, b"\1\0")).blocks
+    assert Identity.read(one.ok(Request.IDENTIFY, b"\1\0")).blocks
 
 
 def test_another_order_is_refused(either):
@@ -242,16 +242,16 @@ def test_another_order_is_refused(either):
     one.ok(*first)
     assert one.no(*first) == 3
     one.ok(*second)
-    assert one.no(Ask.OUTPUT, b"\0\2") == 3
-    assert one.no(Ask.OUTPUT, b"\1\0") == 3  # the second loop's comes later
+    assert one.no(Request.OUTPUT, b"\0\2") == 3
+    assert one.no(Request.OUTPUT, b"\1\0") == 3  # the second loop's comes later
     one.ok(*output)
     assert one.no(*output) == 3
-    assert one.no(Ask.SECTIONS, b"\0" + sections[1][1:]) == 3  # it has a block
-    assert one.no(Ask.BLOCK, b"\2" + second[1][1:]) == 3  # controllers have begun
+    assert one.no(Request.SECTIONS, b"\0" + sections[1][1:]) == 3  # it has a block
+    assert one.no(Request.BLOCK, b"\2" + second[1][1:]) == 3  # controllers have begun
     one.ok(*sections)
     for limit in limits:
         one.ok(*limit)
-    one.ok(Ask.READY)
+    one.ok(Request.READY)
 
 
 def asked(one, configuration, *blocks):
@@ -270,7 +270,7 @@ def asked(one, configuration, *blocks):
 )  # fmt: skip
 def test_a_circle_needs_a_delay(either, blocks, known):
     asked(*either, *blocks)
-    assert len(either[0].ok(Ask.READY)) == 12 if known else either[0].no(Ask.READY) == 4
+    assert len(either[0].ok(Request.READY)) == 12 if known else either[0].no(Request.READY) == 4
 
 
 @pytest.mark.parametrize(
@@ -285,9 +285,9 @@ def test_a_block_out_of_range_is_refused(either, block, code):
     one, configuration = either
     one.ok(*configuration.frames()[0])
     payload = block.payload(0)
-    assert one.no(Ask.BLOCK, payload) == code
+    assert one.no(Request.BLOCK, payload) == code
     for cut in (payload[:-1], payload + b"\0", payload[:3], b""):
-        assert one.no(Ask.BLOCK, cut) == 2 or (code == 3 and cut)
+        assert one.no(Request.BLOCK, cut) == 2 or (code == 3 and cut)
     one.ok(*configuration.frames()[1])  # what was refused left nothing behind
 
 
@@ -298,12 +298,14 @@ def test_what_a_target_does_not_hold_is_refused():
         small = Bench(built(flag))
         small.ok(*frames[0])
         if first is not None:
-            small.ok(Ask.BLOCK, first.payload(0))
-        assert small.no(Ask.BLOCK, (BLOCKS[0] if first is None else BLOCKS[1]).payload(first is not None)) == 6, flag
+            small.ok(Request.BLOCK, first.payload(0))
+        assert small.no(Request.BLOCK, (BLOCKS[0] if first is None else BLOCKS[1]).payload(first is not None)) == 6, (
+            flag
+        )
         small.close()
     second = Second(most_blocks=0)
     assert second.no(*frames[1]) == 8
-    assert not Identity.read(second.ok(Ask.IDENTIFY, b"\1\0")).blocks
+    assert not Identity.read(second.ok(Request.IDENTIFY, b"\1\0")).blocks
 
 
 def refused(tmp_path, wired, words, rig="target", **board):
@@ -312,7 +314,7 @@ def refused(tmp_path, wired, words, rig="target", **board):
     one = target(1, **board)
     with Running(lambda: one) as running, pytest.raises(ls.errors.WrongUseError, match=words):
         ls.rig.measure(study, tmp_path / "run", port=running.port, arm=True, diagram=wired)
-    assert Ask.CONFIGURE not in [kind for kind, _ in one.log]
+    assert Request.CONFIGURE not in [kind for kind, _ in one.log]
 
 
 def test_what_cannot_run_is_refused_in_a_sentence(tmp_path):

@@ -15,7 +15,7 @@ from two_targets import Second
 
 import loopshape as ls
 from loopshape.core.kernels import scheduled
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Identity
+from loopshape.toolbox.rig.target.messages import Configuration, Identity, Request
 from loopshape.toolbox.rig.target.scheduling import Scheduling
 from loopshape.toolbox.rig.target.target import configuration
 
@@ -158,7 +158,7 @@ def test_the_digest_covers_schedules(either):
     one, configuration = either
     for what, payload in configuration.frames():
         one.ok(what, payload)
-    theirs = int.from_bytes(one.ok(Ask.READY)[:4], "little")
+    theirs = int.from_bytes(one.ok(Request.READY)[:4], "little")
     assert theirs == configuration.digest
     changed = two_variables()
     rows = changed.rows.copy()
@@ -171,26 +171,26 @@ def test_the_digest_covers_schedules(either):
 def test_another_order_is_refused(either):
     one, configuration = either
     configure, schedule, nodes, sections, *limits = configuration.frames()
-    assert (schedule[0], nodes[0], sections[0]) == (Ask.SCHEDULE, Ask.NODES, Ask.SECTIONS)
+    assert (schedule[0], nodes[0], sections[0]) == (Request.SCHEDULE, Request.NODES, Request.SECTIONS)
     assert one.no(*schedule) == 4
     one.ok(*configure)
     assert one.no(*nodes) == 3  # before its schedule
-    assert one.no(Ask.SCHEDULE, b"\1" + schedule[1][1:]) == 3  # the second loop's first
+    assert one.no(Request.SCHEDULE, b"\1" + schedule[1][1:]) == 3  # the second loop's first
     one.ok(*schedule)
     assert one.no(*schedule) == 3  # twice
-    assert one.no(Ask.SECTIONS, b"\0" + sections[1][1:]) == 3  # it has a schedule
+    assert one.no(Request.SECTIONS, b"\0" + sections[1][1:]) == 3  # it has a schedule
     assert one.no(*sections) == 3  # the rows are missing
-    assert one.no(Ask.READY) == 4
+    assert one.no(Request.READY) == 4
     half = struct.pack("<BHB", 0, 0, 4) + nodes[1][4 : 4 + 4 * 48]
-    one.ok(Ask.NODES, half)
-    assert one.no(Ask.NODES, half) == 3  # again
-    assert one.no(Ask.NODES, struct.pack("<BHB", 0, 4, 3) + bytes(3 * 48)) == 3  # more than there are
-    one.ok(Ask.NODES, struct.pack("<BHB", 0, 4, 2) + nodes[1][4 + 4 * 48 :])
+    one.ok(Request.NODES, half)
+    assert one.no(Request.NODES, half) == 3  # again
+    assert one.no(Request.NODES, struct.pack("<BHB", 0, 4, 3) + bytes(3 * 48)) == 3  # more than there are
+    one.ok(Request.NODES, struct.pack("<BHB", 0, 4, 2) + nodes[1][4 + 4 * 48 :])
     one.ok(*sections)
     assert one.no(*schedule) == 3
     for limit in limits:
         one.ok(*limit)
-    assert int.from_bytes(one.ok(Ask.READY)[:4], "little") != configuration.digest  # it came in other pieces
+    assert int.from_bytes(one.ok(Request.READY)[:4], "little") != configuration.digest  # it came in other pieces
 
 
 WRONG = [
@@ -203,7 +203,7 @@ WRONG = [
 def test_a_schedule_out_of_range_is_refused(either, head, code):
     one, configuration = either
     one.ok(*configuration.frames()[0])
-    assert one.no(Ask.SCHEDULE, struct.pack("<BBBd", *head) + struct.pack("<BdB2d", 0, 1.0, 2, 0.0, 1.0)) == code
+    assert one.no(Request.SCHEDULE, struct.pack("<BBBd", *head) + struct.pack("<BdB2d", 0, 1.0, 2, 0.0, 1.0)) == code
 
 
 VARIABLES = [(4, 1.0, 0.0, 1.0), (0, 0.0, 0.0, 1.0), (0, np.inf, 0.0, 1.0), (0, 1.0, 1.0, 1.0), (0, 1.0, 0.0, np.nan)]
@@ -215,9 +215,9 @@ def test_a_variable_out_of_range_is_refused(either, variable):
     one.ok(*configuration.frames()[0])
     source, scale, *knots = variable
     payload = struct.pack("<BBBd", 0, 1, 3, 0.5) + struct.pack("<BdB2d", source, scale, 2, *knots)
-    assert one.no(Ask.SCHEDULE, payload) == 3
-    assert one.no(Ask.SCHEDULE, payload + b"\0") in (2, 3)
-    assert one.no(Ask.SCHEDULE, payload[:-1]) in (2, 3)
+    assert one.no(Request.SCHEDULE, payload) == 3
+    assert one.no(Request.SCHEDULE, payload + b"\0") in (2, 3)
+    assert one.no(Request.SCHEDULE, payload[:-1]) in (2, 3)
     one.ok(*configuration.frames()[1])  # what was refused left nothing behind
 
 
@@ -248,10 +248,10 @@ def test_what_a_target_does_not_hold_is_refused_with_its_own_code():
 @pytest.mark.parametrize("make", [lambda: Bench(built("-DTARGET_POOL=0")), lambda: Second(schedule_rows=0)])
 def test_a_target_without_schedules_says_so_and_is_refused_in_a_sentence(make, arm, arm_experiment):
     one = make()
-    me = Identity.read(one.ok(Ask.IDENTIFY, b"\1\0"))
+    me = Identity.read(one.ok(Request.IDENTIFY, b"\1\0"))
     assert not me.schedules
-    assert one.no(Ask.SCHEDULE, b"") == 8
-    assert one.no(Ask.NODES, b"") == 8
+    assert one.no(Request.SCHEDULE, b"") == 8
+    assert one.no(Request.NODES, b"") == 8
     one.close()
     e = with_schedules(moving(arm_experiment, 10), schedule("theta2", OVER_BOTH))
     with pytest.raises(
@@ -261,7 +261,7 @@ def test_a_target_without_schedules_says_so_and_is_refused_in_a_sentence(make, a
 
 
 def test_both_targets_with_schedules_say_so(either):
-    assert Identity.read(either[0].ok(Ask.IDENTIFY, b"\1\0")).schedules
+    assert Identity.read(either[0].ok(Request.IDENTIFY, b"\1\0")).schedules
 
 
 def test_a_schedule_that_follows_a_loop_that_is_not_there_is_refused():

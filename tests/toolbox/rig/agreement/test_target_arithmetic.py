@@ -10,7 +10,7 @@ from target_cases import GAIN, INFINITE, Bench
 import loopshape as ls
 from loopshape.core.kernels import biquads
 from loopshape.toolbox.arm.dynamics import pwm
-from loopshape.toolbox.rig.target.messages import Ask
+from loopshape.toolbox.rig.target.messages import Request
 
 RATE_HZ = 1000.0
 WIDE = np.array([[-1e6, 1e6, INFINITE]] * 5)
@@ -97,8 +97,8 @@ def test_a_board_without_pwm_gets_its_commands_each_tick():
     given = np.array([[float(v) for v in line.split()[1:]] for line in bench.said if line.startswith("g ")])
     np.testing.assert_array_equal(given[-50:], samples[:, 9:])
     assert bench.status().tick == 50
-    bench.ok(Ask.DISARM)
+    bench.ok(Request.DISARM)
     asked = bytearray(bench.configuration.frames()[0][1])
     asked[13:21] = struct.pack("<d", 50.0)
-    assert bench.no(Ask.CONFIGURE, bytes(asked)) == 8
+    assert bench.no(Request.CONFIGURE, bytes(asked)) == 8
     bench.close()

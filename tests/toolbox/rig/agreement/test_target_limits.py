@@ -5,7 +5,7 @@ import pytest
 from target_cases import GAIN, INFINITE, LIMITS, Bench
 
 from loopshape.toolbox.rig.target.frames import Frame
-from loopshape.toolbox.rig.target.messages import Ask, Reason, Say, State
+from loopshape.toolbox.rig.target.messages import Reason, Request, Response, State
 
 STILL = (0.0, 0.5, 0.5)
 
@@ -142,8 +142,8 @@ def test_a_fault_outside_a_recording_is_told_as_run_0(bench):
     bench.tick(5, (0.0, 0.5, 1.1))
     ended = bench.ended()
     assert (ended.run, ended.ticks, ended.reason, ended.index, ended.value) == (0, 0, Reason.LIMIT, 2, 1.1)
-    assert bench.no(Ask.BEGIN, bytes(20)) == 1
-    bench.ok(Ask.CLEAR)
+    assert bench.no(Request.BEGIN, bytes(20)) == 1
+    bench.ok(Request.CLEAR)
     assert bench.status().state == State.IDLE
 
 
@@ -168,7 +168,7 @@ def test_an_armed_target_watches_its_host_by_ticks_or_by_the_clock(hold, fast):
         assert bench.status().state == State.ARMED
     bench.poll()
     bench.tick(49)
-    bench.send(b"\x03garbage\0" + Frame(Say.SAMPLES, 1, bytes(97)).encoded)  # its own, by an echo
+    bench.send(b"\x03garbage\0" + Frame(Response.SAMPLES, 1, bytes(97)).encoded)  # its own, by an echo
     answers = len(bench.taken())
     bench.tick(10)
     assert answers == 0
@@ -292,7 +292,7 @@ def test_the_machines_own_trouble_ends_a_recording_without_that_tick(bench):
     assert bench.status().state == State.FAULT
 
 
-@pytest.mark.parametrize("what", [Ask.VENT, Ask.DISARM])
+@pytest.mark.parametrize("what", [Request.VENT, Request.DISARM])
 def test_venting_by_request_comes_before_the_answer(bench, what):
     running(bench)
     bench.ok(what)
@@ -300,10 +300,10 @@ def test_venting_by_request_comes_before_the_answer(bench, what):
     bench.tick(40)
     assert bench.said[-1] == "safe"
     ended = bench.ended()
-    assert ended.reason == (Reason.EMERGENCY_STOP if what is Ask.VENT else Reason.STOPPED)
-    assert bench.status().state == (State.FAULT if what is Ask.VENT else State.IDLE)
-    if what is Ask.VENT:
-        bench.ok(Ask.DISARM)
+    assert ended.reason == (Reason.EMERGENCY_STOP if what is Request.VENT else Reason.STOPPED)
+    assert bench.status().state == (State.FAULT if what is Request.VENT else State.IDLE)
+    if what is Request.VENT:
+        bench.ok(Request.DISARM)
         assert bench.status().state == State.FAULT  # until CLEAR
-        bench.ok(Ask.CLEAR)
-    bench.ok(Ask.ARM, bench.ok(Ask.READY))
+        bench.ok(Request.CLEAR)
+    bench.ok(Request.ARM, bench.ok(Request.READY))

@@ -13,14 +13,14 @@ from target_cases import CORE, TARGET, WARNINGS, compiler
 
 from loopshape.toolbox.rig.target.frames import Frame
 from loopshape.toolbox.rig.target.link import open_link
-from loopshape.toolbox.rig.target.messages import Ask, Configuration, Reason, Say
+from loopshape.toolbox.rig.target.messages import Configuration, Reason, Request, Response
 from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.target import arm as armed
 from loopshape.toolbox.rig.target.target import configuration
 
 WATCHDOG_MS = 300
 FLOODS = {
-    "echoes": Frame(Say.SAMPLES, 3, bytes(300)).encoded * 20,
+    "echoes": Frame(Response.SAMPLES, 3, bytes(300)).encoded * 20,
     "no zeros": b"\7" * 8192,
     "zeros": bytes(8192),
     "bad frames": b"\1\2\3\0" * 2000,
@@ -41,7 +41,7 @@ def test_the_emulators_watchdog_acts_in_time(arm_experiment, real_time, kind):
         session = Session(link)
         wanted = settings(watchdog_ms=WATCHDOG_MS)
         armed(session, wanted, e.loops, configuration(session.identity, e.loops, wanted, 1000.0, {}))
-        session.unasked = lambda f: ends.append(session.ended(f)) if f.type == Say.ENDED else None
+        session.unasked = lambda f: ends.append(session.ended(f)) if f.type == Response.ENDED else None
         silent_since = session.last_sent_s
         thread = threading.Thread(target=flood, args=(link, FLOODS[kind], over))
         thread.start()
@@ -82,7 +82,7 @@ def test_the_main_loop_of_board_h_keeps_its_ticks(tmp_path, kind, request):
     one = np.array([[1.0]])
     limits = np.array([[-1.0, 1.0, np.inf], [-1.0, 1.0, np.inf]])
     wanted = Configuration(one, one, (np.array([[1.0, 0, 0, 0, 0]]),), limits, False, WATCHDOG_MS, 0.0)
-    asked = [*wanted.frames(), (Ask.READY, b""), (Ask.ARM, struct.pack("<IQ", wanted.digest, 1))]
+    asked = [*wanted.frames(), (Request.READY, b""), (Request.ARM, struct.pack("<IQ", wanted.digest, 1))]
     script = b"".join(Frame(what, k + 1, payload).encoded for k, (what, payload) in enumerate(asked))
     said = subprocess.run([program, str(kind)], input=script, capture_output=True, check=True, timeout=20).stdout
     took_ms = float(said) if said != b"never\n" else np.inf

@@ -13,7 +13,7 @@ from python_target_line import Running
 
 import loopshape as ls
 from loopshape.toolbox.rig.target.link import open_link
-from loopshape.toolbox.rig.target.messages import Reason, Say, State
+from loopshape.toolbox.rig.target.messages import Reason, Response, State
 from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.target import arm as armed
 from loopshape.toolbox.rig.target.target import configuration
@@ -71,7 +71,7 @@ def test_a_stop_reaches_a_target_that_another_host_drives(arm_experiment):
         session = Session(link)
         wanted = settings(watchdog_ms=10000)
         armed(session, wanted, loops, configuration(session.identity, loops, wanted, 1000.0, {}))
-        session.unasked = lambda f: ends.append(session.ended(f)) if f.type == Say.ENDED else None
+        session.unasked = lambda f: ends.append(session.ended(f)) if f.type == Response.ENDED else None
         with session.kept_alive(0.1):
             said, _ = stopped(port)
         assert said == "vented; another host is connected, which is told\n"

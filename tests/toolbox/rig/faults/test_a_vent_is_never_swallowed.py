@@ -9,7 +9,7 @@ from python_target_frames import body_of, frame
 from target_cases import Bench
 
 from loopshape.toolbox.rig.target.frames import Frame
-from loopshape.toolbox.rig.target.messages import Ask, Reason, State
+from loopshape.toolbox.rig.target.messages import Reason, Request, State
 
 
 def crc_of(kind, tag, payload=b""):
@@ -31,9 +31,12 @@ def forged(kind, tag, head, wanted):
 
 
 #: an ALIVE, and a VENT with the same CRC-32; the VENT is plain, or holds the four bytes that forge it
-PLAIN = ((Ask.ALIVE, 7, bytes(4) + forged(Ask.ALIVE, 7, bytes(4), crc_of(Ask.VENT, 9))), (Ask.VENT, 9, b""))
-ALIVE = (Ask.ALIVE, 7, bytes(8))
-WITH_PAYLOAD = (ALIVE, (Ask.VENT, 9, forged(Ask.VENT, 9, b"", crc_of(*ALIVE))))
+PLAIN = (
+    (Request.ALIVE, 7, bytes(4) + forged(Request.ALIVE, 7, bytes(4), crc_of(Request.VENT, 9))),
+    (Request.VENT, 9, b""),
+)
+ALIVE = (Request.ALIVE, 7, bytes(8))
+WITH_PAYLOAD = (ALIVE, (Request.VENT, 9, forged(Request.VENT, 9, b"", crc_of(*ALIVE))))
 
 
 @pytest.mark.parametrize(("before", "vent"), [PLAIN, WITH_PAYLOAD])
@@ -55,7 +58,7 @@ def test_the_second_target_hears_it_too(before, vent):
     one = target()
     one.take(frame(*before))
     one.take(frame(*vent))
-    assert [kind for kind, _ in one.log] == [Ask.ALIVE, Ask.VENT]
+    assert [kind for kind, _ in one.log] == [Request.ALIVE, Request.VENT]
     assert [body_of(answer[:-1])[1] for answer in one.out] == [7, 9]
 
 
@@ -63,7 +66,7 @@ def test_each_vent_is_done():
     bench = Bench()
     bench.arm(watchdog_ms=60000)
     vents = bench.said.count("safe")
-    bench.send(Frame(Ask.VENT, 4002).encoded * 3)
+    bench.send(Frame(Request.VENT, 4002).encoded * 3)
     assert bench.said.count("safe") == vents + 3
     bench.close()
 
@@ -72,7 +75,7 @@ def test_each_vent_is_done():
 def test_nothing_that_is_wrong_with_a_vent_keeps_it_from_venting(tag, payload):
     bench = Bench()
     bench.arm(watchdog_ms=60000)
-    bench.send(Frame(Ask.VENT, tag, payload).encoded)
+    bench.send(Frame(Request.VENT, tag, payload).encoded)
     assert bench.said[-1] == "safe"
     assert bench.status().state == State.FAULT
     bench.close()
@@ -82,12 +85,12 @@ def test_a_vent_leaves_the_reason_of_a_fault_and_is_told_where_there_was_none():
     bench = Bench()
     bench.arm(watchdog_ms=60000)
     bench.tick(1, (3.0, 0.5, 0.5))
-    bench.ok(Ask.VENT)
+    bench.ok(Request.VENT)
     assert bench.status().fault == Reason.LIMIT
     bench.taken()
-    bench.ok(Ask.CLEAR)
+    bench.ok(Request.CLEAR)
     bench.tick(1, (0.0, 0.5, 0.5))
-    bench.ok(Ask.VENT)
+    bench.ok(Request.VENT)
     bench.poll()
     ended = [f for f in bench.taken() if f.type == 0x91]
     assert ended

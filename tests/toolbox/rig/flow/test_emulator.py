@@ -20,7 +20,7 @@ from loopshape.core.folders import cache_folder
 from loopshape.toolbox.rig import emulator as rig
 from loopshape.toolbox.rig.emulator import Emulator, NoCompilerError, program, start, stop
 from loopshape.toolbox.rig.target.link import open_link
-from loopshape.toolbox.rig.target.messages import Ask, State
+from loopshape.toolbox.rig.target.messages import Request, State
 from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.target import arm as armed
 from loopshape.toolbox.rig.target.target import configuration
@@ -226,11 +226,11 @@ def test_vented_the_muscles_empty_and_idle_it_stands_again(arm_experiment):
         session = Session(link)
         armed(session, settings(), loops, configuration(session.identity, loops, settings(), 1000.0, {}))
         before = session.status().sensors
-        session.ask(Ask.VENT)
+        session.ask(Request.VENT)
         time.sleep(0.1)
         vented = session.status().sensors
         assert vented[1] < 0.9 * before[1]
-        session.ask(Ask.CLEAR)
+        session.ask(Request.CLEAR)
         time.sleep(0.02)
         np.testing.assert_allclose(session.status().sensors, before, atol=0.02)
 

@@ -9,7 +9,7 @@ import pytest
 from target_cases import Bench, built
 
 from loopshape.toolbox.rig.target.frames import LONGEST_ENCODED, LONGEST_PAYLOAD, Frame, Receiver, stuffed
-from loopshape.toolbox.rig.target.messages import Ask, Say, State
+from loopshape.toolbox.rig.target.messages import Request, Response, State
 
 MUTATIONS = 100_000
 
@@ -138,7 +138,15 @@ def bench():
 
 def test_whole_frames_of_nonsense_move_nothing(bench):
     rng = np.random.default_rng(3)
-    sizes = {Ask.IDENTIFY: 2, Ask.ARM: 12, Ask.LIMIT: 25, Ask.BEGIN: 20, Ask.ROWS: 25, Ask.ALIVE: 8, Ask.AGAIN: 10}
+    sizes = {
+        Request.IDENTIFY: 2,
+        Request.ARM: 12,
+        Request.LIMIT: 25,
+        Request.BEGIN: 20,
+        Request.ROWS: 25,
+        Request.ALIVE: 8,
+        Request.AGAIN: 10,
+    }
     for _ in range(30):
         data = b""
         for _ in range(100):
@@ -150,7 +158,7 @@ def test_whole_frames_of_nonsense_move_nothing(bench):
     assert "enable" not in bench.said
     assert not [line for line in bench.said if line.startswith("g ")]
     assert bench.taken()
-    assert bench.request(Ask.IDENTIFY, b"\1\0").type == Say.OK
+    assert bench.request(Request.IDENTIFY, b"\1\0").type == Response.OK
     assert bench.status().state in (State.IDLE, State.FAULT)
 
 
@@ -160,7 +168,16 @@ def test_nonsense_while_armed_does_not_stop_the_loops(bench):
     bench.to_setpoint(0.1, 1.0)
     for _ in range(30):
         bench.send(rng.bytes(1500))
-        kinds = (Ask.CONFIGURE, Ask.SECTIONS, Ask.SETPOINT, Ask.BEGIN, Ask.ROWS, Ask.GO, Ask.ALIVE, Ask.AGAIN)
+        kinds = (
+            Request.CONFIGURE,
+            Request.SECTIONS,
+            Request.SETPOINT,
+            Request.BEGIN,
+            Request.ROWS,
+            Request.GO,
+            Request.ALIVE,
+            Request.AGAIN,
+        )
         bench.send(b"".join(Frame(kind, 7, rng.bytes(int(rng.integers(90)))).encoded for kind in kinds))
         bench.tick(20)
     assert bench.status().state == State.ARMED
@@ -180,19 +197,20 @@ def test_answers_are_answered_by_nothing(bench, kind):
 
 
 def test_an_emergency_stop_with_too_much_in_it_stops_all_the_same(bench):
-    bench.ok(Ask.VENT, b"now!")
+    bench.ok(Request.VENT, b"now!")
     assert bench.status().state == State.FAULT
 
 
 def test_a_request_without_a_tag_is_malformed(bench):
-    answer = bench.request(Ask.STOP, tag=0)
-    assert answer.type == Say.NO
+    answer = bench.request(Request.STOP, tag=0)
+    assert answer.type == Response.NO
     assert struct.unpack("<H", answer.payload[:2]) == (2,)
 
 
 EXACT = {
-    Ask.IDENTIFY: 2, Ask.READY: 0, Ask.ARM: 12, Ask.LIMIT: 25, Ask.STOP: 0, Ask.DISARM: 0, Ask.ALIVE: 8, Ask.AGAIN: 10,
-    Ask.CONFIGURE: 29 + 16, Ask.SECTIONS: 43,
+    Request.IDENTIFY: 2, Request.READY: 0, Request.ARM: 12, Request.LIMIT: 25, Request.STOP: 0,
+    Request.DISARM: 0, Request.ALIVE: 8, Request.AGAIN: 10,
+    Request.CONFIGURE: 29 + 16, Request.SECTIONS: 43,
 }  # fmt: skip
 
 

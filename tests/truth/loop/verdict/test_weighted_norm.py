@@ -21,7 +21,7 @@ from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, servos,
 import loopshape as ls
 from loopshape.design.problem.shifts import judged
 from loopshape.design.search import LARGEST, begin, search
-from loopshape.design.tighten import settle
+from loopshape.design.tighten import tighten_limits
 from loopshape.loop.verdict import check, loops_of
 
 B, A, C3 = 20.0, 8.0, 0.05  # P = B/s, W1 = A/s, W3 = C3
@@ -238,6 +238,6 @@ def test_where_no_limit_binds_and_stability_is_undecided_the_search_goes_on_at_a
         unsure = {name: replace(one, stable="undecided") for name, one in found.margins.items()}
         return replace(found, margins=unsure)
 
-    settle(p, search(p, begin(p, np.log([0.2, 10.0, 200.0])), LARGEST, 50), judge)
+    tighten_limits(p, search(p, begin(p, np.log([0.2, 10.0, 200.0])), LARGEST, 50), judge)
     assert len(asks) > 1
     assert all(points is None or len(points) > 0 for points in asks)
