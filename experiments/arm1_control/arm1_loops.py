@@ -28,7 +28,7 @@ PLACES = ("figure_4_12", "figure_4_15.measured", "figure_4_14", "figure_4_15.sim
 UPRIGHT = (0.0, 1.0)
 
 
-def wished(loop: str) -> Requirements:
+def required(loop: str) -> Requirements:
     """What the source requires of each loop in every equilibrium (section 5.2)."""
     return Requirements(
         loop,
@@ -97,7 +97,7 @@ class Judged:
 def judge(name: str, every: Sequence[Found], controller: Controller) -> Judged:
     """Margins, with intervals, of one controller at all of an arm's equilibria."""
     frfs = [f.frf for f in every]
-    verdict = check(frfs, controller, wished(controller.loop), [f.fit for f in every])
+    verdict = check(frfs, controller, required(controller.loop), [f.fit for f in every])
     loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(every[0].arm, name, loops, verdict)
 
@@ -105,7 +105,7 @@ def judge(name: str, every: Sequence[Found], controller: Controller) -> Judged:
 def judge_identical(every: Sequence[Found], controller: Controller) -> Judged:
     """The same with each FRF scaled to the printed kappa: the identical mass line that the source reports."""
     frfs = [scaled(f.frf, value("figure_4_12.kappa") / f.value("kappa")) for f in every]
-    verdict = check(frfs, controller, replace(wished(controller.loop), integrators=1, unstable_poles=0))
+    verdict = check(frfs, controller, replace(required(controller.loop), integrators=1, unstable_poles=0))
     loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(every[0].arm, "source, kappa alike", loops, verdict)
 
@@ -127,7 +127,7 @@ def pressure_loop(study: Study, arm: Arm, controller: Controller) -> Judged:
     own = replace(study, experiments=tuple(e for e in study.experiments if e.name == "pressure"))
     run, recordings = recorded(own, arm)
     frfs = [estimate_frf(recording, run.loop("p_ab")) for recording in recordings]
-    verdict = check(frfs, controller, replace(wished("p_ab"), integrators=1))
+    verdict = check(frfs, controller, replace(required("p_ab"), integrators=1))
     loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(arm, "table 5.2", loops, verdict)
 

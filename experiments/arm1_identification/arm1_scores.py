@@ -34,9 +34,9 @@ def judged(key: str, low: float, high: float, partly_within: float) -> str:
     return PARTLY if nearest <= partly_within * abs(value) else DIFFERS
 
 
-def within(value: float, wished: float, error: float, partly: float = 2.0) -> str:
+def within(value: float, required: float, error: float, partly: float = 2.0) -> str:
     """Agrees within an error, partly within `partly` times that."""
-    off = abs(value - wished)
+    off = abs(value - required)
     return AGREES if off <= error else PARTLY if off <= partly * error else DIFFERS
 
 

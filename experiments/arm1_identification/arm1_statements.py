@@ -239,8 +239,8 @@ def _with_interval(f: Found, name: str) -> str:
 
 def _band(f: Found, rules: Mapping[str, float]) -> Score:
     low, high = f.coherent_band_hz(rules["coherent"])
-    wished = value("identification.coherent_from"), value("identification.coherent_to")
-    covered = low <= wished[0] * 1.1 and high >= wished[1] * 0.9
+    required = value("identification.coherent_from"), value("identification.coherent_to")
+    covered = low <= required[0] * 1.1 and high >= required[1] * 0.9
     return Score("figure 4.12", "band of good coherence", "{identification.coherent_from} to "
                  "{identification.coherent_to}", f"coherence above {rules['coherent']:g} from {low:.2f} to "
                  f"{high:.1f} Hz; trusted to 10 % {f.frf.trusted_band_hz[0]:.2f} to {f.frf.trusted_band_hz[1]:.1f} Hz",
@@ -260,9 +260,9 @@ def _level(item: str, key: str, measured: str, f: Found, rules: Mapping[str, flo
     """Simulation over measurement below the resonance, by the stiffness lines of both fits."""
     w = 2.0 * np.pi * value(f"{measured}.f")
     ours = float(db(f.stiffness_gain / (value(f"{measured}.kappa") / w**2)))
-    wished = value(f"{key}.difference")
+    required = value(f"{key}.difference")
     return Score(item, "simulation over measurement below the resonance", f"{{{key}.difference}}", f"{ours:.1f} dB",
-                 within(ours, wished, rules["level_error_db"]), "kappa and f of the two rows above; agrees within "
+                 within(ours, required, rules["level_error_db"]), "kappa and f of the two rows above; agrees within "
                  f"{rules['level_error_db']:g} dB")  # fmt: skip
 
 

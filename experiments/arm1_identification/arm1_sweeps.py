@@ -92,9 +92,9 @@ class Found:
 
 def recorded(study: Study, arm: Arm, names: Iterable[str] = ()) -> tuple[Run, list[Recording]]:
     """The run and its recordings, those named or all; refuses one that ended early."""
-    own, plant, wished = arm.of(study), Arm1(), frozenset(names or arm.only)
+    own, plant, required = arm.of(study), Arm1(), frozenset(names or arm.only)
     every = {planned.name for planned in plan(own, plant)}
-    done = every - wished if wished else set()
+    done = every - required if required else set()
     recordings = list(measure(own, plant, done=frozenset(done), threads=1))
     if early := [r.info.name for r in recordings if r.info.ended_early]:
         raise SystemExit(f"{arm.label}: {', '.join(early)} ended early")

@@ -62,12 +62,12 @@ class Measured:
 
 def main() -> None:
     """Measure, check, step, sweep; write tables, figures and scores."""
-    wished = {one.loop: one for one in read_requirements(HERE / "requirements.toml")}
+    required = {one.loop: one for one in read_requirements(HERE / "requirements.toml")}
     found = measured()
     printed, own = source_controllers(), {c.loop: c for c in Arm2().default_controllers(1000.0)}
-    verdicts = judged(found, printed, own, wished)
+    verdicts = judged(found, printed, own, required)
     write("margins.csv", MARGINS, [row for name, one in verdicts.items() for row in margin_rows(name, one)])
-    causes = [row for k, loop in enumerate(ANGLES) for row in cause_rows(found, k, printed[loop], wished[loop])]
+    causes = [row for k, loop in enumerate(ANGLES) for row in cause_rows(found, k, printed[loop], required[loop])]
     write("causes.csv", CAUSES, causes)
     sets = {"source's": list(printed.values()), "plant's own": list(own.values())}
     several = together(found, sets)
@@ -82,7 +82,7 @@ def main() -> None:
     linear, simulated = linear_rows(settings), simulated_rows(settings)
     write("damping.csv", DAMPING, linear)
     write("damping_simulated.csv", SIMULATED, simulated)
-    pages(found, printed, verdicts, wished)
+    pages(found, printed, verdicts, required)
     for name, page in draw_steps(runs).items():
         write_bytes_whole(FIGURES / f"{name}.png", png(page))
     write_bytes_whole(FIGURES / "damping.png", png(draw_damping(linear, simulated)))
@@ -131,12 +131,12 @@ def judged(
     found: Sequence[Measured],
     printed: dict[str, Controller],
     own: dict[str, Controller],
-    wished: dict[str, Requirements],
+    required: dict[str, Requirements],
 ) -> dict[str, Verdict]:
     """Each controller alone on its own plant."""
     named = {f"source's {loop}": one for loop, one in printed.items()}
     named |= {f"plant's own {loop}": own[loop] for loop in ANGLES}
-    return {name: check(plants(found, one.loop), one, wished[one.loop]) for name, one in named.items()}
+    return {name: check(plants(found, one.loop), one, required[one.loop]) for name, one in named.items()}
 
 
 MARGINS = (
@@ -162,7 +162,7 @@ CAUSES = (
 )  # fmt: skip
 
 
-def cause_rows(found: Sequence[Measured], k: int, printed: Controller, wished: Requirements) -> list[list]:
+def cause_rows(found: Sequence[Measured], k: int, printed: Controller, required: Requirements) -> list[list]:
     """The printed controller, with its notch at our mode, with its gain for the source's level, and with both."""
     frfs = [element(m.angles, k) for m in found]
     lin = constants2(ARM2_PARAMETERS.vector())
@@ -174,7 +174,7 @@ def cause_rows(found: Sequence[Measured], k: int, printed: Controller, wished: R
         f"gain times {factor:.2g}, for figure 5.8's level": changed(printed, None, factor),
         "both": changed(printed, float(np.mean(modes)), factor),
     }
-    return [cause_row(k, name, one, check(frfs, one, wished)) for name, one in cases.items()]
+    return [cause_row(k, name, one, check(frfs, one, required)) for name, one in cases.items()]
 
 
 def level_db(frf: FRF) -> float:
@@ -245,16 +245,16 @@ def pages(
     found: Sequence[Measured],
     printed: dict[str, Controller],
     verdicts: dict[str, Verdict],
-    wished: dict[str, Requirements],
+    required: dict[str, Requirements],
 ) -> None:
     """Loop pages and Nichols charts of both angles under the source's controllers."""
     for loop, page, chart in (("theta1", "figure_5_9", "figure_h_8"), ("theta2", "figure_5_10", "figure_h_9")):
-        loops, _ = loops_of(plants(found, loop), printed[loop], wished[loop])
+        loops, _ = loops_of(plants(found, loop), printed[loop], required[loop])
         verdict = verdicts[f"source's {loop}"]
         under = f"{loop} under the source's controller ({TABLES[loop]}), simulated arm"
         drawn = {
-            page: entitled(loop_page(loops, wished[loop], verdict=verdict), under),
-            chart: entitled(nichols(loops, wished[loop], verdict=verdict).figure, f"Open loop of {under}"),
+            page: entitled(loop_page(loops, required[loop], verdict=verdict), under),
+            chart: entitled(nichols(loops, required[loop], verdict=verdict).figure, f"Open loop of {under}"),
         }
         for name, figure in drawn.items():
             write_bytes_whole(FIGURES / f"{name}.png", png(figure))

@@ -57,11 +57,11 @@ def at_supply(study: Study, asked: Requirements, supply_bar: float, settings: Ma
     own = own_ones(frfs, asked, robust, fits, settings)
     sets = {"robust": [robust] * len(frfs), "own": [p.own for p in own.points]}
     if supply_bar == settings["disturbance_at_bar"]:
-        wished = replace(asked, objective=Objective(0.0, 1.0, settings["disturbance_below_hz"]))
-        other = tune(frfs, wished, fits, draws=settings["draws"], **search).controller
+        required = replace(asked, objective=Objective(0.0, 1.0, settings["disturbance_below_hz"]))
+        other = tune(frfs, required, fits, draws=settings["draws"], **search).controller
         sets["robust, low lines"] = [other] * len(frfs)
         sets["own, low lines"] = [
-            tune([frf], wished, fits, draws=settings["draws"], explain=False, **search).controller for frf in frfs
+            tune([frf], required, fits, draws=settings["draws"], explain=False, **search).controller for frf in frfs
         ]
     numbers = constants(ARM1_PARAMETERS.vector({"supply_bar": supply_bar}))
     pressure = pressure_controller(supply_bar)

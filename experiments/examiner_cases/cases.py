@@ -127,9 +127,9 @@ def bounds() -> Iterator[Row]:
         wish = Requirements("x", integrators=1, unstable_poles=0, **{quantity: truth[quantity] + slack})
         (line,) = check([lines_of(falling, np.geomspace(0.2, last_hz, 300), 1e-3, 1)], unit, wish).lines
         assert line.bound is not None
-        ends = sorted((line.found, line.bound))
+        ends = sorted((line.value, line.bound))
         words = (
-            f"{line.found:.2f} to {line.bound:.2f}, measure to {line.measure_to_hz or np.nan:.0f} Hz: {line.outcome}"
+            f"{line.value:.2f} to {line.bound:.2f}, measure to {line.measure_to_hz or np.nan:.0f} Hz: {line.outcome}"
         )
         right = line.outcome == "undecided" and ends[0] <= truth[quantity] <= ends[1]
         yield Row("bounded by the last line", 1e-3, quantity, words, f"{truth[quantity]:.2f}", right)

@@ -63,7 +63,7 @@ def with_notch(of: Controller, f_hz: float) -> Controller:
     return replace(of, blocks=blocks)
 
 
-def causes(fits: Sequence[Fit], wished: Requirements) -> list[list]:
+def causes(fits: Sequence[Fit], required: Requirements) -> list[list]:
     """A line a case: table H.1 on the fitted plants as they are, and with one thing changed."""
     printed, notch_hz = controller("table_h_1"), value("table_h_1.notch")
     middle_hz = float(np.mean([fit["f_hz"].value for fit in fits]))
@@ -83,7 +83,7 @@ def causes(fits: Sequence[Fit], wished: Requirements) -> list[list]:
         "mode, damping and gain": mode | damped | lower,
     }.items():
         cases[name] = (printed, [changed(fit, **change) for fit in fits])
-    return [summary(name, check([as_frf(f) for f in at], of, wished, at)) for name, (of, at) in cases.items()]
+    return [summary(name, check([as_frf(f) for f in at], of, required, at)) for name, (of, at) in cases.items()]
 
 
 def summary(name: str, verdict: Verdict) -> list:

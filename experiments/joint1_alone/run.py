@@ -53,29 +53,29 @@ DELAY_SAMPLES, NOISE_DEG = 3, 0.1  # of the PWM; below this swing there is no fr
 
 def main() -> None:
     """Measure, fit, check, tune, step; write tables, figures and scores."""
-    wished = {one.loop: one for one in read_requirements(HERE / "requirements.toml")}
+    required = {one.loop: one for one in read_requirements(HERE / "requirements.toml")}
     frfs = measured()
     fits = {loop: [fit(low(frf), structure_by_name(name)) for frf in frfs[loop]] for loop, name in
             (("theta1", "third_order"), ("p_cd", "integrator"))}  # fmt: skip
     write("fits.csv", FITS, fit_rows(fits["theta1"]))
     own = {one.loop: one for one in Arm2(PAIRS).default_controllers(1000.0)}
-    tuned = tune(frfs["theta1"], wished["theta1"], fits["theta1"]).controller
+    tuned = tune(frfs["theta1"], required["theta1"], fits["theta1"]).controller
     controllers = {
         "table H.1": controller("table_h_1"),
         "tuned": tuned,
         "the plant's own": own["theta1"],
         "p_CD, the plant's own": own["p_cd"],
     }
-    verdicts = {name: judged(frfs, fits, one, wished) for name, one in controllers.items()}
+    verdicts = {name: judged(frfs, fits, one, required) for name, one in controllers.items()}
     write("margins.csv", MARGINS, [row for name, one in verdicts.items() for row in margin_rows(name, one)])
-    why = causes(fits["theta1"], wished["theta1"])
+    why = causes(fits["theta1"], required["theta1"])
     write("causes.csv", CAUSES, why)
     write("controllers.csv", ("controller", "blocks"), [[name, written(one)] for name, one in controllers.items()])
     runs = {name: stepped(controllers[name]) for name in ("table H.1", "tuned")}
     write("steps.csv", STEPS, [row for name, one in runs.items() for row in step_rows(name, one)])
     swings = {name: swing(one) for name, one in runs.items()}
     write("swings.csv", SWINGS, [swing_row(name, controllers[name], one) for name, one in swings.items()])
-    pages(frfs, fits, controllers, verdicts, runs, wished)
+    pages(frfs, fits, controllers, verdicts, runs, required)
     write("scores.csv", SCORES, scores(verdicts, fits["theta1"], swings["table H.1"], why))
 
 
@@ -126,10 +126,10 @@ def fit_rows(fits: Sequence[Fit]) -> list[list]:
 
 
 def judged(
-    frfs: dict[str, list[FRF]], fits: dict[str, list[Fit]], of: Controller, wished: dict[str, Requirements]
+    frfs: dict[str, list[FRF]], fits: dict[str, list[Fit]], of: Controller, required: dict[str, Requirements]
 ) -> Verdict:
     """The source's requirements at every point."""
-    return check(frfs[of.loop], of, wished[of.loop], fits[of.loop])
+    return check(frfs[of.loop], of, required[of.loop], fits[of.loop])
 
 
 MARGINS = (
@@ -214,14 +214,14 @@ TITLES = {
 
 
 def loop_pictures(
-    loops: dict[str, list[Loop]], wished: Requirements, verdicts: dict[str, Verdict]
+    loops: dict[str, list[Loop]], required: Requirements, verdicts: dict[str, Verdict]
 ) -> dict[str, Figure]:
     """Loop page and Nichols chart of theta1 under table H.1 and under the tuned controller."""
     out = {}
     for name, page, chart in (("table H.1", "figure_h_3", "figure_h_4"), ("tuned", "tuned", "tuned_nichols")):
         found = {"verdict": verdicts[name]}
-        out[page] = entitled(loop_page(loops[name], wished, **found), TITLES[page])
-        out[chart] = entitled(nichols(loops[name], wished, **found).figure, TITLES[chart])
+        out[page] = entitled(loop_page(loops[name], required, **found), TITLES[page])
+        out[chart] = entitled(nichols(loops[name], required, **found).figure, TITLES[chart])
     return out
 
 
@@ -231,13 +231,13 @@ def pages(
     controllers: dict[str, Controller],
     verdicts: dict[str, Verdict],
     runs: dict[str, Recording],
-    wished: dict[str, Requirements],
+    required: dict[str, Requirements],
 ) -> None:
     """All figures."""
-    loops = {name: loops_of(frfs[c.loop], c, wished[c.loop], fits[c.loop])[0] for name, c in controllers.items()}
+    loops = {name: loops_of(frfs[c.loop], c, required[c.loop], fits[c.loop])[0] for name, c in controllers.items()}
     linears = [linear(dict(frf.operating_point)) for frf in frfs["theta1"]]
     figures = {
-        **loop_pictures(loops, wished["theta1"], verdicts),
+        **loop_pictures(loops, required["theta1"], verdicts),
         "plant": draw_plant(frfs["theta1"], fits["theta1"], linears),
         "steps": draw_steps(runs),
     }

@@ -27,20 +27,20 @@ ROW = 3  # measured angle in rad, pressures in Pa
 
 @compiled
 def measure(
-    c: Array, sensors: Sensors, x: Array, m: Array, draws: Array, spare: Array, tick_s: float, row: Array
+    c: Array, sensors: Sensors, x: Array, m: Array, draws: Array, slack: Array, tick_s: float, row: Array
 ) -> None:
     """What the sensors give now, into `row` (3,); the noise's state (1,) and spare draw (2,) move in place."""
     true, true_a, true_b = memory.sensed(c, x, m, tick_s)
-    row[0], row[1], row[2], draws[0], spare[0], kept = kernel.sense(
-        true, true_a, true_b, sensors, draws[0], spare[0], spare[1] > 0.0
+    row[0], row[1], row[2], draws[0], slack[0], kept = kernel.sense(
+        true, true_a, true_b, sensors, draws[0], slack[0], slack[1] > 0.0
     )
-    spare[1] = 1.0 if kept else 0.0
+    slack[1] = 1.0 if kept else 0.0
 
 
 @compiled
 def act(
     c: Array, sensors: Sensors, x: Array, m: Array, held: Array, schedule: Array, edges: Array, draws: Array,
-    spare: Array, u_a: float, u_b: float, tick_s: float, period_ticks: int, periods: int, dead_zone: float, out: Array,
+    slack: Array, u_a: float, u_b: float, tick_s: float, period_ticks: int, periods: int, dead_zone: float, out: Array,
 ) -> tuple[int, int]:  # fmt: skip
     """Hold the commands for `periods` of the PWM; a measured row after each tick into `out` (ticks, 3).
 
@@ -55,7 +55,7 @@ def act(
             ended = kernel.range_left(x, sensors)
             if ended != kernel.COMPLETE:
                 return ended, rows
-            measure(c, sensors, x, m, draws, spare, tick_s, out[rows])
+            measure(c, sensors, x, m, draws, slack, tick_s, out[rows])
             rows += 1
     return kernel.COMPLETE, rows
 

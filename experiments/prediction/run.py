@@ -70,12 +70,12 @@ def main() -> None:
         tuned_twice(frfs, fits)
     run = verified(CONTROLLER)
     rows: list[list[Any]] = []
-    for own, wished in zip(read_controllers(CONTROLLER), read_requirements(REQUIRE), strict=True):
+    for own, required in zip(read_controllers(CONTROLLER), read_requirements(REQUIRE), strict=True):
         made = predict([frf for frf in frfs if frf.loop == own.loop], own, fits)
         write_predictions(OUT / f"{own.loop}.npz", made)
         found = [remeasure(run, made, tolerance_db=t) for t in TOLERANCES_DB]
-        verdict = checked(run, found[0], wished)
-        rows += [row(run, strict, loose, verdict, wished) for strict, loose in zip(*found, strict=True)]
+        verdict = checked(run, found[0], required)
+        rows += [row(run, strict, loose, verdict, required) for strict, loose in zip(*found, strict=True)]
         report(own.loop, found, verdict)
         draw(made, found[1])
     with (HERE / "results.csv").open("w", newline="") as file:
@@ -99,27 +99,29 @@ def tuned_twice(frfs: Sequence[FRF], fits: Sequence[Fit]) -> None:
     write_controllers(OUT / "first.toml", first)
     run = verified(OUT / "first.toml")
     final = []
-    for own, wished in zip(first, wishes, strict=True):
+    for own, required in zip(first, wishes, strict=True):
         found = remeasure(run, predict(mine[own.loop], own, fits, draws=2))
-        print(f"{own.loop}, tuned on FRFs alone: check of what ran: {(verdict := checked(run, found, wished)).outcome}")
+        print(
+            f"{own.loop}, tuned on FRFs alone: check of what ran: {(verdict := checked(run, found, required)).outcome}"
+        )
         if verdict.passed:
             final.append(own)
             continue
         again = [replace(p, recording=f"again-{p.recording}", recordings=()) for p in plants(run, found)]
-        tuning = tune([*mine[own.loop], *again], with_spare(wished), [*fits, *fitted(again)])
+        tuning = tune([*mine[own.loop], *again], with_spare(required), [*fits, *fitted(again)])
         print(f"  again on both: feasible {tuning.feasible}, lowest bandwidth {tuning.bandwidth_hz:.3g} Hz")
         final.append(tuning.controller if tuning.feasible else own)
     write_controllers(CONTROLLER, final)
 
 
-def with_spare(wished: Requirements) -> Requirements:
+def with_spare(required: Requirements) -> Requirements:
     """The same with a little more asked of the peak of |S| and of the phase margin.
 
     The plants are those whose first tuning counted no unstable pole: not each one measured again tells so itself.
     """
-    peak, phase = wished.sensitivity_peak_db, wished.phase_margin_deg
+    peak, phase = required.sensitivity_peak_db, required.phase_margin_deg
     return replace(
-        wished, sensitivity_peak_db=None if peak is None else peak - SPARE_DB,
+        required, sensitivity_peak_db=None if peak is None else peak - SPARE_DB,
         phase_margin_deg=None if phase is None else phase + SPARE_DEG, unstable_poles=0,
     )  # fmt: skip
 
@@ -134,13 +136,13 @@ def fitted(frfs: Sequence[FRF]) -> list[Fit]:
     return [fit(frf, STRUCTURES[frf.loop], weighting="relative", band_hz=(0.0, KNOWN_HZ[frf.loop])) for frf in frfs]
 
 
-def checked(run: Run, found: Sequence[Remeasured], wished: Requirements) -> Verdict:
+def checked(run: Run, found: Sequence[Remeasured], required: Requirements) -> Verdict:
     """The loops that ran, held against what was asked: plants behind their measured sensitivities, with their fits."""
     mine = plants(run, found)
-    return check(mine, found[0].prediction.controller, wished, fitted(mine))
+    return check(mine, found[0].prediction.controller, required, fitted(mine))
 
 
-def row(run: Run, strict: Remeasured, loose: Remeasured, verdict: Verdict, wished: Requirements) -> list[Any]:
+def row(run: Run, strict: Remeasured, loose: Remeasured, verdict: Verdict, required: Requirements) -> list[Any]:
     """One loop at one equilibrium."""
     S, (frf,), (c,) = strict.prediction.sensitivity, strict.measured, strict.comparisons
     margins, band = verdict.margins[frf.recording], loose.comparisons[0].worst
@@ -151,7 +153,7 @@ def row(run: Run, strict: Remeasured, loose: Remeasured, verdict: Verdict, wishe
         round(stood_at(S.recording), 2), round(c.predicted_peak_db, 2), round(c.measured_peak_db, 2),
         f"{c.p_value:.2g}", c.outcome, loose.comparisons[0].outcome, *where, margins.stable,
         round(margins.sensitivity_peak_db, 2), round(margins.phase_margin_deg, 1),
-        round(margins.gain_margin_db, 2), " ".join(misses(margins, wished)),
+        round(margins.gain_margin_db, 2), " ".join(misses(margins, required)),
         *step_cells(strict), info.ended_early or "",
     ]  # fmt: skip
 
@@ -161,10 +163,10 @@ def stood_at(name: str) -> float:
     return float(deg(read_run(OUT / "arm").recording(name).column("theta2_rad").mean()))
 
 
-def misses(margins: Margins, wished: Requirements) -> list[str]:
+def misses(margins: Margins, required: Requirements) -> list[str]:
     """Requirements whose value at this equilibrium misses what is wished, whatever its interval."""
     return [
-        limit.name for limit in LIMITS if (w := getattr(wished, limit.name)) is not None
+        limit.name for limit in LIMITS if (w := getattr(required, limit.name)) is not None
         and (getattr(margins, limit.name) < w if limit.sense == "at_least" else getattr(margins, limit.name) > w)
     ]  # fmt: skip
 
@@ -195,7 +197,9 @@ def report(loop: str, found: Sequence[Sequence[Remeasured]], verdict: Verdict) -
     for name in verdict.unstable:
         print(f"  {name}: {verdict.margins[name].stable}, {verdict.margins[name].stability_reason}")
     for line in verdict.lines:
-        print(f"  {line.quantity}: wished {line.wished:g}, worst {line.found:.3g} at {line.recording}, {line.outcome}")
+        print(
+            f"  {line.quantity}: required {line.required:g}, worst {line.value:.3g} at {line.recording}, {line.outcome}"
+        )
     steps = [s for one in found[0] for s in one.steps]
     print(f"{loop}: {sum(s.measured.outcome == 'settled' for s in steps)} of {len(steps)} steps settle")
 

@@ -49,4 +49,4 @@ def _read(path: Path) -> list[dict[str, str]]:
 
 
 def _row(table: list[dict[str, str]], **keys: str) -> dict[str, str]:
-    return next(row for row in table if all(row[name] == wished for name, wished in keys.items()))
+    return next(row for row in table if all(row[name] == required for name, required in keys.items()))

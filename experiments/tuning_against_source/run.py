@@ -40,9 +40,9 @@ def main() -> None:
     base, peak = bandwidth(verdict), max(m.control_peak_db for m in verdict.margins.values())
     rows = [row("source, gain lowered", source, verdict, base, 0.0)]
     for factor in (1.0, 2.0, 4.0):
-        wished = replace(limits, control_peak_db=peak + float(db(factor)))
+        required = replace(limits, control_peak_db=peak + float(db(factor)))
         begun = time.perf_counter()
-        found = tune(frfs, wished, fits)
+        found = tune(frfs, required, fits)
         name = f"tuned, {factor:g} times its peak |CS|"
         rows.append(row(name, found.controller, found.verdict, base, time.perf_counter() - begun))
     write(HERE / "results.csv", COLUMNS, rows)

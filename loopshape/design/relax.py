@@ -20,7 +20,7 @@ from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.problem import Problem, bounds_reached
-from loopshape.design.problem.rows import Tighten, in_rows, spare_of, wished
+from loopshape.design.problem.rows import Tighten, in_rows, required, spare_of
 from loopshape.design.search import Goal, SearchResult, begin, search
 from loopshape.design.tighten import TightenedSolution, Verifier, least_rooms, tighten_limits
 
@@ -38,14 +38,14 @@ TRIES = 3
 class ConstraintMultiplier:
     """A requirement at an operating point that the least miss is held by; `share` is its multiplier, summing to one.
 
-    `spare` is what is left of it there, in its unit, below zero, counted to the bad end of the 95 % interval.
+    `slack` is what is left of it there, in its unit, below zero, counted to the bad end of the 95 % interval.
     """
 
     quantity: str
     unit: str
     recording: str
     at_hz: float
-    spare: float
+    slack: float
     share: float
 
 
@@ -54,12 +54,12 @@ class Relaxation:
     """One requirement relaxed, all others kept: its best reachable value, and what comes of asking for that instead.
 
     `reachable` is nan where no value of this one alone was found to make the rest possible. `verified` tells that a
-    tuning with `reachable` in place of `wished` passed its check; `bandwidth_hz` is what it reached.
+    tuning with `reachable` in place of `required` passed its check; `bandwidth_hz` is what it reached.
     """
 
     quantity: str
     unit: str
-    wished: float
+    required: float
     reachable: float
     verified: bool
     bandwidth_hz: float
@@ -67,7 +67,7 @@ class Relaxation:
     @property
     def by(self) -> float:
         """How far the requirement has to give, in its unit."""
-        return abs(self.reachable - self.wished)
+        return abs(self.reachable - self.required)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Shortfall(Plain):
     def least(self) -> Relaxation | None:
         """The least relaxation that was verified, by dB, degrees and ratios as rows count them."""
         verified = [one for one in self.relaxations if one.verified]
-        return min(verified, key=lambda one: float(in_rows(one.quantity, one.wished, one.by)), default=None)
+        return min(verified, key=lambda one: float(in_rows(one.quantity, one.required, one.by)), default=None)
 
     @property
     def certified(self) -> bool:
@@ -117,7 +117,7 @@ def shortfall(
         )
         if again.verdict.passed:
             return again, None
-        if not any(line.spare < 0.0 for line in again.verdict.lines):  # stability alone is not decided
+        if not any(line.slack < 0.0 for line in again.verdict.lines):  # stability alone is not decided
             return min([settled, again], key=lambda one: one.rank), None
     judged = TightenedSolution(least, judge_of(p.requirements)(p.controller(least.x)), settled.tighten)
     pulls, helps = _certificate(p, least, settled.tighten)
@@ -166,11 +166,11 @@ def _pulls(p: Problem, m: Measures, rows: np.ndarray, shares: Array, tighten: Ti
             continue
         if share <= 1e-6:
             continue
-        unit, spare = "1", float(m.room[k])
+        unit, slack = "1", float(m.room[k])
         if what in LIMIT_OF and what != "controller_bandwidth_hz":
-            unit, limit = LIMIT_OF[what].unit, wished(p, what, tighten)[point]
-            spare = float(spare_of(what, limit, spare))
-        found[(what, point)] = ConstraintMultiplier(what, unit, recording, at_hz, spare, share)
+            unit, limit = LIMIT_OF[what].unit, required(p, what, tighten)[point]
+            slack = float(spare_of(what, limit, slack))
+        found[(what, point)] = ConstraintMultiplier(what, unit, recording, at_hz, slack, share)
     return sorted(found.values(), key=lambda pull: -pull.share)
 
 
@@ -195,12 +195,12 @@ def _relaxation(
             tried = _tuned(p, p.requirements.moved({name: asked - now}), least, tighten, judge_of)
             reachable, verified = asked, tried.verdict.passed
             bandwidth_hz = min(m.bandwidth_hz for m in tried.verdict.margins.values())
-            spare = min((line.spare for line in tried.verdict.lines if line.quantity == name), default=0.0)
+            slack = min((line.slack for line in tried.verdict.lines if line.quantity == name), default=0.0)
             if verified:  # what that controller leaves of this one need not be given away
-                by = max(by - spare * (1.0 - 1e-9), 0.0)
+                by = max(by - slack * (1.0 - 1e-9), 0.0)
                 reachable = now + (by if limit.sense == "at_most" else -by)
                 break
-            by = max(1.05 * by, by - 1.1 * min(spare, 0.0))
+            by = max(1.05 * by, by - 1.1 * min(slack, 0.0))
     return Relaxation(name, limit.unit, now, reachable, verified, float(bandwidth_hz))
 
 
@@ -215,7 +215,7 @@ def _needed(p: Problem, name: str, least: SearchResult, tighten: Tighten) -> flo
     if name == "controller_bandwidth_hz":
         return max(controller_bandwidth_hz(p.controller(least.x)) - now, 0.0) + 1e-3 * now
     room = least_rooms(p, least.measures)[name]
-    missed = -float(np.min(spare_of(name, wished(p, name, tighten), room)))
+    missed = -float(np.min(spare_of(name, required(p, name, tighten), room)))
     return max(missed, 0.0) * 1.001 + 1e-5 * max(abs(now), 1e-3)
 
 

@@ -60,7 +60,7 @@ class SeveralTuning(Plain):
 
     @property
     def feasible(self) -> bool:
-        """Whether every loop, and all together, surely meet what is wished."""
+        """Whether every loop, and all together, surely meet what is required."""
         return self.verdict.passed
 
     @property

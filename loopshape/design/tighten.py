@@ -14,7 +14,7 @@ from loopshape.data.requirement.requirements import LIMIT_OF
 from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import Measures, measure
 from loopshape.design.problem.problem import Problem
-from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, spare_of, wished
+from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, required, spare_of
 from loopshape.design.search import Goal, SearchResult, begin, search
 
 
@@ -95,7 +95,9 @@ def norm(verdict: Verdict) -> tuple[float, tuple[float, float] | None]:
 
 def miss(verdict: Verdict) -> float:
     """Worst miss of a verdict's lines, as rows count it."""
-    misses = [abs(float(in_rows(line.quantity, line.wished, line.spare))) for line in verdict.lines if line.spare < 0.0]
+    misses = [
+        abs(float(in_rows(line.quantity, line.required, line.slack))) for line in verdict.lines if line.slack < 0.0
+    ]
     return max(misses, default=0.0)
 
 
@@ -105,7 +107,7 @@ def tighten_limits(
     """The best that passes `judge`, whose word is final: its readings are finer, and count to the bad end of their
     95 % intervals.
 
-    Each round asks it how much less spare than the tuner it sees, for each quantity at each operating point, tightens
+    Each round asks it how much less slack than the tuner it sees, for each quantity at each operating point, tightens
     the limits by that and searches on. What is asked changes little with x, so a few rounds do. `tighten` is that under
     which `best` was found.
     """
@@ -182,7 +184,7 @@ def _a_little_more(p: Problem, name: str, needed: Array, rise: Array) -> Array:
 
 
 def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None = None) -> dict[str, Array]:
-    """How much less spare than the tuner `check` sees, by quantity, at each operating point (points,), in its unit.
+    """How much less slack than the tuner `check` sees, by quantity, at each operating point (points,), in its unit.
 
     To the bad end of the interval; zero where the tuner was too careful, where either sees no crossing, and where the
     verdict, of some `points`, says nothing.
@@ -201,12 +203,12 @@ def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None
 
 
 def spares(p: Problem, m: Measures) -> dict[str, Array]:
-    """Least spare of each quantity at each operating point (points,), in its unit; +inf where no row speaks of it.
+    """Least slack of each quantity at each operating point (points,), in its unit; +inf where no row speaks of it.
 
     `m` is measured without tightening.
     """
     with np.errstate(over="ignore"):
-        return {name: spare_of(name, wished(p, name, {}), room) for name, room in least_rooms(p, m).items()}
+        return {name: spare_of(name, required(p, name, {}), room) for name, room in least_rooms(p, m).items()}
 
 
 def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:
@@ -223,7 +225,7 @@ def _done(now: TightenedSolution, asked: Mapping[str, Array], k: int) -> bool:
     m, waste = now.found.measures, 0.0
     p = m.evaluation.p
     for name, room in least_rooms(p, m).items():
-        off = np.abs(in_rows(name, wished(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
+        off = np.abs(in_rows(name, required(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
         waste = max(waste, float(off[room < 2.0 * WASTE].max(initial=0.0)))
     if now.verdict.passed:
         return waste < WASTE and not now.dipped.any()
@@ -241,7 +243,7 @@ def _tightened(
         rise = np.maximum(needed - given, 0.0)
         next_one = _a_little_more(p, name, needed, rise)
         out[name] = np.maximum(given, next_one + 0.3 * rise) if firm else next_one
-    lines = {line.quantity: line.spare for line in verdict.lines}
+    lines = {line.quantity: line.slack for line in verdict.lines}
     name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz
     if wish is not None:  # of C alone, without an interval, and between lines read a little otherwise
         missed = -lines[name] / wish if lines[name] < 0.0 else 0.0

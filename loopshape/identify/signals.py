@@ -177,13 +177,13 @@ def held_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     info = recording.info
     if loop.reference not in recording.columns or not info.closed_loop or info.injection == "reference":
         return ()
-    wished, found = extent(recording.signal(str(loop.reference))), extent(recording.signal(loop.output))
-    gap = abs(wished.mean - found.mean)
-    if wished.most > wished.least or gap <= max(0.1 * abs(wished.mean), 3.0 * found.std):
+    required, found = extent(recording.signal(str(loop.reference))), extent(recording.signal(loop.output))
+    gap = abs(required.mean - found.mean)
+    if required.most > required.least or gap <= max(0.1 * abs(required.mean), 3.0 * found.std):
         return ()
     unit = loop.output_unit
     return (
-        f"loop {loop.name} did not hold its setpoint: {wished.least:.3g} {unit} asked,"
+        f"loop {loop.name} did not hold its setpoint: {required.least:.3g} {unit} asked,"
         f" {found.mean:.3g} {unit} on average; the FRF is that of where it stood",
     )
 

@@ -13,7 +13,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import LIMITS, Limit, Margins
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 
 #: changes without an error of their own count from here on: what four figures do not show is none
 TINY = 1e-4
@@ -99,8 +99,8 @@ def _lines(loop: str, before: Verdict, now: Verdict) -> list[LineChange]:
     return [c for c in changes if _said(c.before) != _said(c.now)]
 
 
-def _said(line: Line | None) -> tuple[str, float] | None:
-    return None if line is None else (line.outcome, line.wished)
+def _said(line: RequirementResult | None) -> tuple[str, float] | None:
+    return None if line is None else (line.outcome, line.required)
 
 
 def _stabilities(loop: str, before: Verdict, now: Verdict) -> list[StabilityChange]:

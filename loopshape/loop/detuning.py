@@ -101,7 +101,7 @@ def worst_shift(
     every = [way * x for x in shifts[shifts <= within].tolist() for way in (1.0, -1.0)]
     worst = min(every, key=lambda x: (whole.stable(x, -1.0), float(np.min(whole.slacks(x, -1.0), initial=np.inf))))
     slacks = whole.slacks(worst, -1.0)
-    closer = whole.wished - whole.signs * CLOSER * np.minimum(slacks, 0.0)
+    closer = whole.required - whole.signs * CLOSER * np.minimum(slacks, 0.0)
     missed = np.flatnonzero((slacks < 0.0) & np.isfinite(closer))
     return worst, {whole.limits[k].name: _own_unit(whole.limits[k], float(closer[k])) for k in missed}
 
@@ -146,14 +146,14 @@ class _Search:
         self.limits = [x for x in LIMITS if x.name in _COLUMNS and getattr(requirements, x.name) is not None]
         self.columns = np.array([_COLUMNS[x.name] for x in self.limits], dtype=int)
         self.signs = np.array([1.0 if _least(x) else -1.0 for x in self.limits])
-        self.wished = np.array([_scaled(x, float(getattr(requirements, x.name))) for x in self.limits])
+        self.required = np.array([_scaled(x, float(getattr(requirements, x.name))) for x in self.limits])
         self.readings: dict[float, Reading] = {}
         self.scatters: dict[float, tuple[Array, Array]] = {}
         self.poles = self.reading(0.0).poles
         now = np.array([_scaled_value(x, getattr(margins, x.name)) for x in self.limits])
         with np.errstate(invalid="ignore"):
             bias = unmoved.values[self.columns] - now
-        self.now = self.signs * (now - self.wished)
+        self.now = self.signs * (now - self.required)
         self.known = {end: self._known_reach(end, now) for end in (-1.0, 1.0)}
         self.bias = np.where(np.isfinite(bias), bias, 0.0)
 
@@ -176,7 +176,7 @@ class _Search:
 
     def slacks(self, percent: float, end: float = 0.0) -> Array:
         """What each limit leaves at a shift: of the estimate, or of its interval's bad (-1) or good (1) end."""
-        left = self.signs * (self.reading(percent).values[self.columns] - self._bias(percent) - self.wished)
+        left = self.signs * (self.reading(percent).values[self.columns] - self._bias(percent) - self.required)
         if end == 0.0:
             return left
         there = np.isfinite(left)  # a crossing that is nowhere stays nowhere
@@ -299,7 +299,7 @@ class _Search:
     def _lost(self, percent: float, j: int) -> Lost:
         limit, x = self.limits[j], self.reading(percent)
         left = _own_unit(limit, float(x.values[self.columns[j]] - self.bias[j]))
-        required = _own_unit(limit, float(self.wished[j]))
+        required = _own_unit(limit, float(self.required[j]))
         nominal = float(getattr(self.margins, limit.name))
         return Lost(percent, limit.name, limit.unit, nominal, left, required, float(x.at_hz[self.columns[j]]))
 

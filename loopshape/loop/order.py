@@ -103,7 +103,7 @@ def _times(least: float, std_over: float) -> float:
     return min(max(least, std_over**2), MOST)
 
 
-def _for_limit(loop: Loop, margins: Margins, limit: Limit, wished: float) -> Iterator[_Wanted]:
+def _for_limit(loop: Loop, margins: Margins, limit: Limit, required: float) -> Iterator[_Wanted]:
     """What a limit wants that the margins do not decide."""
     value, f = getattr(margins, limit.name), loop.frequency_hz
     first, last = float(f[0]), float(f[-1])
@@ -114,7 +114,7 @@ def _for_limit(loop: Loop, margins: Margins, limit: Limit, wished: float) -> Ite
         yield _Wanted(*crossover_below(loop))
         return
     if limit.name in margins.bounds and at_hz >= last * (1.0 - 1e-9):
-        yield _Wanted(last, HIGHER * (decided_at_hz(limit.name, wished, margins) or 2.0 * last))
+        yield _Wanted(last, HIGHER * (decided_at_hz(limit.name, required, margins) or 2.0 * last))
         return
     gap = next((gap for gap in margins.missing_hz if gap[0] < at_hz < gap[1]), None)
     if gap is not None:
@@ -127,7 +127,7 @@ def _for_limit(loop: Loop, margins: Margins, limit: Limit, wished: float) -> Ite
             yield _drowned(loop)
             return
         sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-        more = min(max(SPARE * longer(value, bad, good, wished, sign), 1.0), MOST)
+        more = min(max(SPARE * longer(value, bad, good, required, sign), 1.0), MOST)
         yield _Wanted(at_hz / ABOUT, min(at_hz * ABOUT, max(last, at_hz)), more, FINER_LIMIT)
 
 
@@ -204,9 +204,9 @@ def _merged(orders: list[Order]) -> list[Order]:
     return found
 
 
-def decided_at_hz(quantity: str, wished: float, margin: Margins) -> float | None:
+def decided_at_hz(quantity: str, required: float, margin: Margins) -> float | None:
     """Up to where to measure until |L|, falling on as over the highest lines, is below the limit."""
-    size = from_db(wished) if quantity.endswith("_db") else wished
+    size = from_db(required) if quantity.endswith("_db") else required
     small = {
         "gain_margin_db": 1.0 / size,
         "modulus_margin": 1.0 - size,
@@ -217,15 +217,15 @@ def decided_at_hz(quantity: str, wished: float, margin: Margins) -> float | None
         "complementary_bandwidth_hz": None,
     }.get(quantity, 0.1)
     if small is None:  # a bandwidth: up to the limit itself
-        return wished
+        return required
     if small <= 0.0 or not margin.last_slope > 0.0:
         return None
     return float(margin.last_hz * max((margin.last_gain / small) ** (1.0 / max(margin.last_slope, 0.5)), 1.05))
 
 
-def longer(value: float, bad: float, good: float, wished: float, sign: float) -> float:
+def longer(value: float, bad: float, good: float, required: float, sign: float) -> float:
     """Factor on the measuring time after which the interval, shrunk as 1/sqrt(time), would leave out the limit."""
-    room = sign * (value - wished)
+    room = sign * (value - required)
     if not np.isfinite(value):
         return float("inf")
     reach = abs(value - (bad if room >= 0.0 else good))

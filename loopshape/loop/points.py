@@ -11,7 +11,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Margins
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import STABLE_RANK
 
 #: quantities that say how close L comes to -1, the most telling first
@@ -76,7 +76,7 @@ def worst_of(loops: Sequence[Loop], verdict: Verdict | None = None) -> Worst:
     return Worst(k, at_hz, f"{word} {LIMIT_OF[missed.quantity].label}")
 
 
-def _missed(verdict: Verdict | None) -> Line | None:
+def _missed(verdict: Verdict | None) -> RequirementResult | None:
     lines = [] if verdict is None else [x for x in verdict.lines if x.quantity in CLOSENESS and x.outcome != "passed"]
     return min(lines, key=lambda x: (SEVERITY[x.outcome], CLOSENESS.index(x.quantity)), default=None)
 

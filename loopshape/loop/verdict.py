@@ -16,7 +16,7 @@ from loopshape.data.requirement.requirements import Limit, Margins, Requirements
 from loopshape.data.response.frf import FRF, Hold
 from loopshape.data.response.model import Fit
 from loopshape.data.response.smoothed import Scatter
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import detuning_warnings
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.identify.smooth.smoothing import merged, smoothed
@@ -404,37 +404,37 @@ def points_of(frfs: Sequence[FRF]) -> list[str]:
     return names
 
 
-def worst_lines(asked: Mapping[str, Requirements], found: Mapping[str, Margins]) -> tuple[Line, ...]:
+def worst_lines(asked: Mapping[str, Requirements], found: Mapping[str, Margins]) -> tuple[RequirementResult, ...]:
     """Each limit that is asked for, at the worst of the operating points (one at least), of one loop or of several."""
     limits = next(iter(asked.values())).limits
-    wished = {x: {name: v for name, one in asked.items() if (v := getattr(one, x.name)) is not None} for x in limits}
-    return tuple(_worst_line(limit, asks, found) for limit, asks in wished.items() if asks)
+    required = {x: {name: v for name, one in asked.items() if (v := getattr(one, x.name)) is not None} for x in limits}
+    return tuple(_worst_line(limit, asks, found) for limit, asks in required.items() if asks)
 
 
-def _worst_line(limit: Limit, wished: Mapping[str, float], found: Mapping[str, Margins]) -> Line:
-    lines = [_line_at(limit, value, name, found[name]) for name, value in wished.items()]
-    return min(lines, key=lambda line: (SEVERITY[line.outcome], line.spare))
+def _worst_line(limit: Limit, required: Mapping[str, float], found: Mapping[str, Margins]) -> RequirementResult:
+    lines = [_line_at(limit, value, name, found[name]) for name, value in required.items()]
+    return min(lines, key=lambda line: (SEVERITY[line.outcome], line.slack))
 
 
-def _line_at(limit: Limit, wished: float, recording: str, margin: Margins) -> Line:
+def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> RequirementResult:
     """The line of one operating point."""
     value = getattr(margin, limit.name)
     interval = margin.intervals.get(limit.name)
     low, high = (value, value) if interval is None else interval
     sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-    outcome, bounded = point_outcome(margin, limit.name, wished), limit.name in margin.bounds
-    return Line(
+    outcome, bounded = point_outcome(margin, limit.name, required), limit.name in margin.bounds
+    return RequirementResult(
         quantity=limit.name,
         unit=limit.unit,
-        wished=wished,
-        found=value,
-        spare=sign * (bad - wished),
+        required=required,
+        value=value,
+        slack=sign * (bad - required),
         outcome=outcome,
         recording=recording,
         at_hz=margin.at_hz.get(limit.name),
         interval=interval,
-        longer=longer(value, bad, good, wished, sign) if outcome == "undecided" and not bounded else None,
+        longer=longer(value, bad, good, required, sign) if outcome == "undecided" and not bounded else None,
         bound=margin.bounds.get(limit.name),
-        measure_to_hz=decided_at_hz(limit.name, wished, margin) if outcome == "undecided" and bounded else None,
+        measure_to_hz=decided_at_hz(limit.name, required, margin) if outcome == "undecided" and bounded else None,
         beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
     )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, servo, servos, wished
+from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_of, required, servo, servos
 
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.starts import embedded, neutral, substructures, without_one
@@ -18,7 +18,7 @@ PLANTS = {
 
 
 def found_by(plant: str, structure: tuple[dict, ...], seed: int):
-    return tune(PLANTS[plant], wished(*structure, **LIMITS), seed=seed, starts=3, explain=False)
+    return tune(PLANTS[plant], required(*structure, **LIMITS), seed=seed, starts=3, explain=False)
 
 
 @pytest.mark.long
@@ -40,7 +40,7 @@ def test_one_block_more_never_costs(plant: str, less: tuple[dict, ...], more: tu
 
 
 def test_what_is_embedded_is_the_same_controller() -> None:
-    p = problem_of(PLANTS["three loads"], wished(GAIN, LEAD_LAG, NOTCH, LEAD_LAG, LOW_PASS, **LIMITS))
+    p = problem_of(PLANTS["three loads"], required(GAIN, LEAD_LAG, NOTCH, LEAD_LAG, LOW_PASS, **LIMITS))
     rng = np.random.default_rng(0)
     assert len(without_one(p)) == 3  # both leads and the notch
     for k, less in without_one(p):
@@ -49,12 +49,12 @@ def test_what_is_embedded_is_the_same_controller() -> None:
 
 
 def test_contained_structures_are_each_named_once_and_their_number_is_bounded() -> None:
-    p = problem_of(PLANTS["delay"], wished(GAIN, NOTCH, NOTCH, LOW_PASS, **LIMITS))
+    p = problem_of(PLANTS["delay"], required(GAIN, NOTCH, NOTCH, LOW_PASS, **LIMITS))
     assert [[t.kind for t in one.templates] for one in substructures(p)] == [
         ["gain", "notch", "low_pass_2"],
         ["gain", "low_pass_2"],
     ]
-    many = problem_of(PLANTS["delay"], wished(GAIN, *[NOTCH, LEAD_LAG] * 4, **LIMITS))
+    many = problem_of(PLANTS["delay"], required(GAIN, *[NOTCH, LEAD_LAG] * 4, **LIMITS))
     assert len(substructures(many)) == 7
 
 
@@ -67,5 +67,5 @@ def test_a_block_that_must_do_something_contains_nothing() -> None:
         "damping1": {"min": 0.1, "max": 0.9},
         "damping2": "damping1",
     }
-    templates = wished(GAIN, apart, tied, LOW_PASS, **LIMITS).structure
+    templates = required(GAIN, apart, tied, LOW_PASS, **LIMITS).structure
     assert [neutral(t) is None for t in templates] == [True, True, False, True]

@@ -153,8 +153,8 @@ def test_points_without_coordinates_stand_by_recording_on_their_own_lines() -> N
 
 def test_one_point_is_an_atlas_too() -> None:
     frf = loop_nouns.noisy(loop_nouns.plant())
-    loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.wished())
-    ax = sensitivity_atlas([loop], loop_nouns.wished(), verdict=verdict).axes[0]
+    loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.required())
+    ax = sensitivity_atlas([loop], loop_nouns.required(), verdict=verdict).axes[0]
     assert len(rows(ax)) == 1
     assert len(by_gid(ax, "failed")) == 1
 

@@ -25,8 +25,8 @@ def by_gid(ax: Axes, gid: str | None) -> list:
 @pytest.fixture(scope="module")
 def page() -> tuple[Figure, Loop, ls.Verdict]:
     frf = loop_nouns.noisy(loop_nouns.plant())
-    loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.wished(complementary_peak_db=6.0))
-    return bode_page(loop, loop_nouns.wished(complementary_peak_db=6.0), verdict=verdict), loop, verdict
+    loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.required(complementary_peak_db=6.0))
+    return bode_page(loop, loop_nouns.required(complementary_peak_db=6.0), verdict=verdict), loop, verdict
 
 
 def test_labels_and_units(page: tuple[Figure, Loop, ls.Verdict]) -> None:

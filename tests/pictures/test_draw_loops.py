@@ -51,9 +51,9 @@ def test_the_loop_page_shows_plant_controller_open_loop_and_sensitivity() -> Non
     c = figure.axes[2]
     assert len(c.lines) == 1  # one controller for all operating points is drawn once
     assert np.array_equal(c.lines[0].get_ydata(), db(loops[0].C))
-    wished = by_gid(figure.axes[4], "bandwidth required")
-    assert [line.get_xdata()[0] for line in wished] == [1.0]
-    assert to_rgba(wished[0].get_color()) == to_rgba(LIMIT)
+    required = by_gid(figure.axes[4], "bandwidth required")
+    assert [line.get_xdata()[0] for line in required] == [1.0]
+    assert to_rgba(required[0].get_color()) == to_rgba(LIMIT)
     assert len({ax.get_xlim() for ax in figure.axes}) == 1
 
 

@@ -177,8 +177,8 @@ def test_regions_are_few_stand_near_minus_one_and_have_the_size_of_the_error() -
 
 def test_the_lines_as_measured_are_dots_on_the_curves_branch() -> None:
     frf = loop_nouns.noisy(loop_nouns.plant())
-    loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.wished())
-    ax = nichols([loop], loop_nouns.wished(), verdict=verdict)
+    loop, verdict = loop_nouns.checked(frf, loop_nouns.gain(), loop_nouns.required())
+    ax = nichols([loop], loop_nouns.required(), verdict=verdict)
     (dots,) = by_gid(ax, "measured")
     x, y = dots.get_data()
     assert x.size <= 300

@@ -18,10 +18,10 @@ WISHED = ls.SeveralRequirements(disk_margin=0.6, sensitivity_peak_db=8.0, comple
 def case(units):
     G = np.array([[1.0, 0.4], [-0.4, 1.0]]) * (5.0 / (S * (0.02 * S + 1.0)))[:, None, None]
     frf = frf_of(F, G, 0.02, units=units, loop="theta1+theta2")
-    wished = WISHED if units is None else ls.SeveralRequirements(disk_margin=0.6, modulus_margin=0.4)
-    verdict = ls.check([frf], CONTROLLERS, together=wished)
-    matrices, _ = loop_matrices([frf], CONTROLLERS, wished)
-    return matrices["exact"], verdict, wished
+    required = WISHED if units is None else ls.SeveralRequirements(disk_margin=0.6, modulus_margin=0.4)
+    verdict = ls.check([frf], CONTROLLERS, together=required)
+    matrices, _ = loop_matrices([frf], CONTROLLERS, required)
+    return matrices["exact"], verdict, required
 
 
 @pytest.fixture(scope="module")
@@ -81,9 +81,9 @@ def test_the_summary_names_every_loop_and_all(alike):
 
 @pytest.mark.parametrize("units", [None, ["rad", "bar"]])
 def test_the_page_has_its_six_panels(units, alike):
-    loops, verdict, wished = alike if units is None else case(units)
+    loops, verdict, required = alike if units is None else case(units)
     each = {one.loop: one.margins["exact"] for one in verdict.each}
-    figure = several_page(loops, verdict.margins["exact"], each, wished)
+    figure = several_page(loops, verdict.margins["exact"], each, required)
     assert len(figure.axes) == 6
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert ("singular values of S [dB]" in labels) == (units is None)

@@ -28,7 +28,7 @@ def test_every_recording_stands_against_the_wish() -> None:
     drawn = np.concatenate([line.get_ydata() for gid in (*OUTCOMES, "unstable") for line in by_gid(gain, gid)])
     assert sorted(drawn) == sorted(m.gain_margin_db for m in verdict.margins.values())
     assert list(by_gid(gain, "unstable")[0].get_xdata()) == [7]
-    assert by_gid(gain, "wished")[0].get_ydata()[0] == 6.0
+    assert by_gid(gain, "required")[0].get_ydata()[0] == 6.0
     assert len(by_gid(reduction, "without end")[0].get_xdata()) == 24
     assert gain.get_ylabel() == "[dB]"
     assert figure.texts[1].get_text() == "stability undecided: r08"
@@ -46,7 +46,7 @@ def test_marks_tell_the_outcomes_and_bars_are_the_intervals() -> None:
         for k, value in zip(points.get_xdata(), points.get_ydata(), strict=True):
             m = list(verdict.margins.values())[int(k)]
             assert value == m.sensitivity_peak_db
-            assert point_outcome(m, "sensitivity_peak_db", line.wished) == gid
+            assert point_outcome(m, "sensitivity_peak_db", line.required) == gid
     assert marks["passed"][0] == "o"
     assert marks["undecided"] == ("D", "white")
     assert marks["failed"][0] == "x"

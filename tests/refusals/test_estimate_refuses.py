@@ -95,12 +95,12 @@ def test_a_resolution_that_is_not_positive_is_refused(resolution_hz):
 @pytest.mark.parametrize("n", [60, 237, 1001, 4000])
 @pytest.mark.parametrize("overlap", [0.0, 0.5, 0.75])
 def test_a_record_too_short_is_refused_with_a_resolution_that_works(n, overlap):
-    wished = Settings(resolution_hz=1.2 * RATE / n, overlap=overlap)
-    text = estimate_refusal(wished, n=n)
+    required = Settings(resolution_hz=1.2 * RATE / n, overlap=overlap)
+    text = estimate_refusal(required, n=n)
     assert f"too short for a resolution of {RATE / round(n / 1.2):.3g} Hz" in text
     assert f"{n / RATE:g} s, which gives" in text
     coarser = float(text.split("ask for ")[1].split(" Hz")[0])
-    estimate_frf(recording(n), LOOP, replace(wished, resolution_hz=coarser))
+    estimate_frf(recording(n), LOOP, replace(required, resolution_hz=coarser))
 
 
 @pytest.mark.parametrize(("periods", "word"), [(1.9, "1 whole period of 10 s"), (0.5, "0 whole periods of 10 s")])

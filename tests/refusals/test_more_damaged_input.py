@@ -28,9 +28,11 @@ def with_zeros(rows, trusted=True):
     return replace(made, response=response, trusted=mask)
 
 
-def checked(frf, **wished):
+def checked(frf, **required):
     controller = ls.Controller("axis", (Block("gain", {"gain": 1.0}),), 1000.0)
-    return ls.check([frf], controller, ls.Requirements("axis", phase_margin_deg=30.0, **{"unstable_poles": 0} | wished))
+    return ls.check(
+        [frf], controller, ls.Requirements("axis", phase_margin_deg=30.0, **{"unstable_poles": 0} | required)
+    )
 
 
 @pytest.mark.parametrize("path", ["", ".", "/"])
@@ -93,9 +95,9 @@ def test_a_dead_sensor():
 
 @pytest.mark.parametrize("trusted", [True, False])
 @pytest.mark.parametrize("rows", [[0], [100], [199]])
-@pytest.mark.parametrize("wished", [{}, {"band_hz": (0.1, 100.0)}, {"integrators": 1}])
-def test_a_zero_line_among_good_ones_is_left_out_and_said(rows, trusted, wished):
-    verdict = checked(with_zeros(rows, trusted), **wished)
+@pytest.mark.parametrize("required", [{}, {"band_hz": (0.1, 100.0)}, {"integrators": 1}])
+def test_a_zero_line_among_good_ones_is_left_out_and_said(rows, trusted, required):
+    verdict = checked(with_zeros(rows, trusted), **required)
     assert verdict.outcome == "passed"
     assert any("exactly zero were left out: 1" in text for text in verdict.warnings)
 

@@ -1,6 +1,7 @@
 """A verdict's file that is foreign, damaged, of another version or changed by hand is refused with a sentence."""
 
 import json
+from pathlib import Path
 
 import pytest
 from run_files import read_json, read_verdicts, write_verdicts
@@ -44,12 +45,20 @@ def test_a_file_that_is_no_json(tmp_path, text):
 @pytest.mark.parametrize("text", ["[]", "3", "{}", '{"format": "loopshape-fits/1", "fits": []}', '{"format": 1}'])
 def test_a_file_of_another_kind(tmp_path, text):
     (tmp_path / "v.json").write_text(text)
-    refused(tmp_path / "v.json", "is not of the format loopshape-verdict/1", "--save-verdict")
+    refused(tmp_path / "v.json", "is not of the format loopshape-verdict/2", "--save-verdict")
 
 
 def test_a_file_of_another_version(kept):
-    changed(kept, lambda data, _: data.update(format="loopshape-verdict/2"))
-    refused(kept, "loopshape-verdict/2", "another version of loopshape")
+    changed(kept, lambda data, _: data.update(format="loopshape-verdict/3"))
+    refused(kept, "loopshape-verdict/3", "another version of loopshape")
+
+
+def test_a_file_of_the_first_version_is_read_in_the_words_of_this_one():
+    (one,) = read_verdicts(Path(__file__).parent / "data" / "verdict_1.json")
+    lines = {line.quantity: line for line in one.verdict.lines}
+    line = lines["gain_margin_db"]
+    assert (line.required, line.value, line.slack) == (5.0, 7.979275303807414, 2.8654306280045816)
+    assert one.verdict.margins["type-a"].detuning.lost.required == 5.999999999999998
 
 
 def test_a_file_without_a_verdict(kept):

@@ -230,13 +230,13 @@ def tuning() -> None:
 
     from loopshape.design.tune import tune
 
-    plants, wished = frfs(500), requirements()
-    tune(plants[:2], wished, starts=2, draws=4)  # compiles
+    plants, required = frfs(500), requirements()
+    tune(plants[:2], required, starts=2, draws=4)  # compiles
     begun = time.process_time()
-    found = tune(plants, wished)
+    found = tune(plants, required)
     taken, ours = time.process_time() - begun, found.bandwidth_hz
     line("tune, 24 FRFs of 500 lines, one core", taken, f"s; lowest bandwidth {ours:.4g} Hz")
-    least = bare(found.controller, plants, wished)
+    least = bare(found.controller, plants, required)
     line("  bare: L and margins on all lines, 200 times", least, f"s, ours {taken / least:.1f} times")
     for name, peer in (
         (f"scipy's differential evolution, {TIMES:g} times as long", lambda: evolution(TIMES * taken)),

@@ -35,21 +35,21 @@ class LateError(Exception):
 
 def workload_problem(lines: int = 500) -> Problem:
     """The tuner's own problem of the workload."""
-    plants, wished = frfs(lines), requirements()
+    plants, required = frfs(lines), requirements()
     unit = ls.Controller("theta2", (Block("gain", {"gain": 1.0}),), 1000.0)
-    return problem(loops_of(plants, unit, wished)[0], wished, 1000.0)
+    return problem(loops_of(plants, unit, required)[0], required, 1000.0)
 
 
 #: what a local search from one good start needs: 20 steps of 9 evaluations for slopes by differences, and a few more
 EVALUATIONS = 200
 
 
-def bare(controller: ls.Controller, plants: Sequence[ls.FRF], wished: ls.Requirements) -> float:
+def bare(controller: ls.Controller, plants: Sequence[ls.FRF], required: ls.Requirements) -> float:
     """Seconds for so many times L = C P and its margins on every line of every plant, with nothing about it.
 
     The least that any search on all lines can take; it has no starts, no slopes, no count and no intervals.
     """
-    reader = Reader.of(wished)
+    reader = Reader.of(required)
     f, above = plants[0].frequency_hz, np.geomspace(plants[0].frequency_hz[-1], 450.0, 80)[1:]
     P = np.array([frf.siso for frf in plants])
     begun = time.process_time()
@@ -99,17 +99,17 @@ def annealing(seconds: float, seed: int = 0) -> float:
 
 def _slowest(C: np.ndarray, f: np.ndarray, plants: list[np.ndarray]) -> float:
     """Lowest bandwidth of C (nf,) over plants with one integrator, 0 where one limit is missed at one of them."""
-    wished, slowest = requirements(), np.inf
+    required, slowest = requirements(), np.inf
     for P in plants:
         L = C * P
         size, S = np.abs(L), 1.0 / (1.0 + L)
-        if db(np.abs(S).max()) > wished.sensitivity_peak_db or db(np.abs(C * S).max()) > wished.control_peak_db:
+        if db(np.abs(S).max()) > required.sensitivity_peak_db or db(np.abs(C * S).max()) > required.control_peak_db:
             return 0.0
         crossings = np.flatnonzero((size[:-1] - 1.0) * (size[1:] - 1.0) < 0.0)
         axis = np.flatnonzero((L.imag[:-1] * L.imag[1:] < 0.0) & (L.real[:-1] < 0.0))
         margin = -float(db(max(size[axis][size[axis] < 1.0].max(initial=0.0), size[-1])))
         phase = np.abs(deg(np.angle(-L[crossings]))).min(initial=180.0)
-        if size[0] <= 1.0 or size[-1] >= 1.0 or phase < wished.phase_margin_deg or margin < wished.gain_margin_db:
+        if size[0] <= 1.0 or size[-1] >= 1.0 or phase < required.phase_margin_deg or margin < required.gain_margin_db:
             return 0.0
         if count_unstable(L, 1, 0, np.zeros(0, dtype=complex)) != 0:
             return 0.0

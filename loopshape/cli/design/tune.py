@@ -147,7 +147,7 @@ def report_growth(steps: Sequence[Grown], output: Output) -> None:
 
 def _report_shortfall(found: Shortfall, output: Output) -> None:
     """What the least miss is held by, how sure that is, and what to relax."""
-    rows = [[p.quantity, p.recording, p.at_hz, p.spare, p.unit, p.share] for p in found.pulls]
+    rows = [[p.quantity, p.recording, p.at_hz, p.slack, p.unit, p.share] for p in found.pulls]
     columns = ["requirement", "recording", "at [Hz]", "slack at best", "unit", "share"]
     output.table("The requirements were not met together; the smallest worst violation is limited by", columns, rows)
     output.say(
@@ -157,7 +157,7 @@ def _report_shortfall(found: Shortfall, output: Output) -> None:
     for line in found.bounds:
         output.say(f"at a bound there: {line}")
     possible = [r for r in found.relaxations if isfinite(r.reachable)]
-    rows = [[r.quantity, r.wished, r.reachable, r.by, r.unit, _known(r.bandwidth_hz), r.verified] for r in possible]
+    rows = [[r.quantity, r.required, r.reachable, r.by, r.unit, _known(r.bandwidth_hz), r.verified] for r in possible]
     columns = ["requirement", "required", "best reachable", "relax by", "unit", "lowest bandwidth then [Hz]", "checked"]
     output.table("One requirement relaxed, all others kept", columns, rows)
     for r in found.relaxations:

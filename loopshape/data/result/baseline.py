@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from loopshape.core.json_ready import Plain, keys
 from loopshape.data.control.controller import Controller
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import change_text, line_change_words
 
 #: outcomes of lines and of stability, best first
@@ -34,8 +34,8 @@ class LineChange(Plain):
 
     loop: str
     quantity: str
-    before: Line | None
-    now: Line | None
+    before: RequirementResult | None
+    now: RequirementResult | None
 
     @property
     def worse(self) -> bool:
@@ -159,8 +159,8 @@ class Comparison(Plain):
         """In lines: outcomes that changed, margins that did, what came or went, what differs underneath."""
         lines = []
         for x in self.lines:
-            was, wished, now, wishes = line_change_words(x)
-            lines.append(f"{x.quantity} of loop {x.loop}: {was} ({wished}) to {now} ({wishes})")
+            was, required, now, wishes = line_change_words(x)
+            lines.append(f"{x.quantity} of loop {x.loop}: {was} ({required}) to {now} ({wishes})")
         lines += [f"loop {s.loop} in {s.recording}: {s.before} to {s.now}: {s.reason}" for s in self.stabilities]
         lines += [change_text(change, points) for change, points in self.largest()]
         return "\n".join([f"{title}: {self.counts}", *(f"  {line}" for line in (*lines, *self.remarks))])

@@ -47,7 +47,7 @@ class MovedResonance:
 
 @dataclass(frozen=True)
 class Lost:
-    """The worst miss within +-2 %: at `shift_percent`, `quantity` falls from `nominal` to `left`; `wished` is required.
+    """The worst miss within +-2 %: at `shift_percent`, `quantity` falls from `nominal` to `left` of `required`.
 
     `quantity` "stability" has no numbers (nan). `resonance_hz` is the resonance (of the unmoved plant) whose move alone
     costs most, `block` the controller's block that depends most on frequency there (from 1), `block_kind` its kind;
@@ -59,7 +59,7 @@ class Lost:
     unit: str
     nominal: float
     left: float
-    wished: float
+    required: float
     at_hz: float
     resonance_hz: float | None = None
     block: int = 0

@@ -104,24 +104,24 @@ class SeveralMargins(Margins):
 
 
 @dataclass(frozen=True)
-class Line(Plain):
-    """A requirement at its worst operating point: required, found with its 95 % interval, slack, and the outcome.
+class RequirementResult(Plain):
+    """A requirement at its worst operating point: required, value with its 95 % interval, slack, and the outcome.
 
-    `spare` is the room between what is required and the interval's end on the bad side (positive: room left).
+    `slack` is the room between what is required and the interval's end on the bad side (positive: room left).
     `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
     A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
     to which frequency to measure, as |L| falls on over the highest lines (None: not known).
-    `beyond` tells that `found` is a bound, the largest that was searched.
+    `beyond` tells that `value` is a bound, the largest that was searched.
     """
 
     ALSO = keys("passed")
 
     quantity: str
     unit: str
-    wished: float
-    found: float
-    spare: float
+    required: float
+    value: float
+    slack: float
     outcome: str
     recording: str
     at_hz: float | None
@@ -136,7 +136,7 @@ class Line(Plain):
         """Ends between which the value lies in 95 %: its interval, of a bound on to the best that may be."""
         if self.bound is None:
             return self.interval
-        low, high = self.interval or (self.found, self.found)
+        low, high = self.interval or (self.value, self.value)
         return min(low, self.bound), max(high, self.bound)
 
     @property
@@ -161,7 +161,7 @@ class Verdict(Plain):
     IN_JSON = keys("loop", "passed", "outcome", "lines", "margins", "unstable", "warnings", "orders", "each")
 
     loop: str
-    lines: tuple[Line, ...]
+    lines: tuple[RequirementResult, ...]
     margins: Mapping[str, Margins]
     warnings: tuple[str, ...] = ()
     each: tuple[Verdict, ...] = ()
@@ -215,11 +215,11 @@ class Verdict(Plain):
             | {
                 "requirement": line.quantity,
                 "unit": line.unit,
-                "required": line.wished,
-                "worst case": line.found,
+                "required": line.required,
+                "worst case": line.value,
                 "low": line.span[0] if line.span else None,
                 "high": line.span[1] if line.span else None,
-                "slack": line.spare,
+                "slack": line.slack,
                 "at [Hz]": line.at_hz,
                 "operating point": line.recording,
                 "outcome": line.outcome,

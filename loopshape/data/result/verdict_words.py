@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.requirement.requirements import Margins
     from loopshape.data.result.baseline import LineChange, MarginChange
-    from loopshape.data.result.verdict import Line, Order, Verdict
+    from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 
 #: how an outcome is printed
 WORDS = {"passed": "pass", "failed": "FAIL", "undecided": "undecided"}
@@ -35,7 +35,7 @@ def number(value: float) -> str:
     return "0" if abs(value) < 1e-6 else f"{value:.4g}"
 
 
-def number_of(line: Line, value: float) -> str:
+def number_of(line: RequirementResult, value: float) -> str:
     """The same for a number of a line: an error's unit is as large as it likes."""
     return f"{value:.4g}" if line.quantity == "error_rms" else number(value)
 
@@ -45,12 +45,12 @@ def interval_text(interval: tuple[float, float] | None) -> str:
     return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
 
 
-def interval_or_bound_text(line: Line) -> str:
+def interval_or_bound_text(line: RequirementResult) -> str:
     """The 95 % interval of a line; of a bound from its end on the bad side to the best that may be."""
     return interval_text(line.span) + ("" if line.bound is None else " (bound)")
 
 
-def longer_text(line: Line) -> str:
+def longer_text(line: RequirementResult) -> str:
     """How much more measuring would decide an undecided line, or up to which frequency."""
     if line.outcome == "undecided" and line.bound is not None:
         to_hz = "higher" if line.measure_to_hz is None else f"up to {line.measure_to_hz:.3g} Hz"
@@ -60,15 +60,15 @@ def longer_text(line: Line) -> str:
     return f": {line.longer:.2g} times the data would decide" if line.longer < 100.0 else ": on the limit"
 
 
-def wished_text(line: Line) -> str:
+def wished_text(line: RequirementResult) -> str:
     """What was asked for: "at least 45 deg"."""
     from loopshape.data.requirement.requirements import LIMIT_OF  # numpy with it: `--help` does without
 
     sense = _SENSE[LIMIT_OF[line.quantity].sense] if line.quantity in LIMIT_OF else ""
-    return f"{sense} {line.wished:g}{_unit(line.unit)}".strip()
+    return f"{sense} {line.required:g}{_unit(line.unit)}".strip()
 
 
-def found_text(line: Line) -> str:
+def found_text(line: RequirementResult) -> str:
     """What was found, with its interval, at which frequency and operating point."""
     interval = "" if line.span is None else f" (95 %: {interval_text(line.span)}{_unit(line.unit)})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
@@ -76,17 +76,17 @@ def found_text(line: Line) -> str:
     return f"{more}{bounded_number(line)}{_unit(line.unit)}{interval}{at} in {line.recording}"
 
 
-def bounded_number(line: Line) -> str:
+def bounded_number(line: RequirementResult) -> str:
     """The number found, as a bound where it is one: "at least 10.8" or "at most 7.9"."""
     if line.bound is None:
-        return number_of(line, line.found)
-    return f"{'at least' if line.bound > line.found else 'at most'} {number(line.found)}"
+        return number_of(line, line.value)
+    return f"{'at least' if line.bound > line.value else 'at most'} {number(line.value)}"
 
 
-def line_text(line: Line) -> str:
+def line_text(line: RequirementResult) -> str:
     """A line in one sentence: required, found with its interval, slack, and for an undecided one what would decide."""
-    spare = f"(slack {number_of(line, line.spare)}{_unit(line.unit)})"
-    return f"required {wished_text(line)}, found {found_text(line)} {spare}{longer_text(line)}"
+    slack = f"(slack {number_of(line, line.slack)}{_unit(line.unit)})"
+    return f"required {wished_text(line)}, found {found_text(line)} {slack}{longer_text(line)}"
 
 
 def stability_text(margins: Margins) -> str:
@@ -137,9 +137,8 @@ def lost_text(lost: Lost, controller: Controller) -> str:
     if lost.quantity == STABILITY:
         return f"{head} it is unstable"
     unit = _unit(lost.unit)
-    return (
-        f"{head} {lost.quantity} goes from {lost.nominal:.4g} to {lost.left:.4g}{unit} ({lost.wished:.4g}{unit} asked)"
-    )
+    values = f"from {lost.nominal:.4g} to {lost.left:.4g}{unit} ({lost.required:.4g}{unit} asked)"
+    return f"{head} {lost.quantity} goes {values}"
 
 
 def reach_text(reach: Reach) -> str:
@@ -199,7 +198,7 @@ def _requirements(verdict: Verdict) -> str:
     stable, _, word = stability_of(verdict)
     rows = [("closed loop", "stable", stable, "-", word)] if verdict.margins else []
     rows += [
-        (x.quantity, number_of(x, x.wished), worst_text(x), interval_or_bound_text(x), WORDS[x.outcome])
+        (x.quantity, number_of(x, x.required), worst_text(x), interval_or_bound_text(x), WORDS[x.outcome])
         for x in verdict.lines
     ]
     widths = [max(map(len, column)) for column in zip(_HEADINGS, *rows, strict=True)]
@@ -207,9 +206,9 @@ def _requirements(verdict: Verdict) -> str:
     return "\n".join([f"{f'Loop {verdict.loop}'.rstrip()}: {WORDS[verdict.outcome]}", *lines])
 
 
-def worst_text(line: Line) -> str:
+def worst_text(line: RequirementResult) -> str:
     """The number found, and whether it is the largest that was searched."""
-    return f"> {line.found:g}" if line.beyond else number_of(line, line.found)
+    return f"> {line.value:g}" if line.beyond else number_of(line, line.value)
 
 
 def stability_of(verdict: Verdict) -> tuple[str, str, str]:

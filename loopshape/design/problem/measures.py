@@ -24,7 +24,7 @@ from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.problem.peaks import norm_rows, peak_rows
 from loopshape.design.problem.problem import Opened, Problem
-from loopshape.design.problem.rows import DIP, DenseRows, Rows, Tighten, of_kernel, once, scaled, wished
+from loopshape.design.problem.rows import DIP, DenseRows, Rows, Tighten, of_kernel, once, required, scaled
 from loopshape.loop.stability.continued import continued
 
 
@@ -202,7 +202,7 @@ def crossing_rows(e: Evaluation, tighten: Tighten) -> tuple[list[Rows], Rows]:
 def _levels(p: Problem, tighten: Tighten) -> tuple[Array, Array, Array, Array, Array, float]:
     """Limits of the margins and of dips (points,) as the kernel counts them, and below what |L| dips are watched."""
     phase, delay, gain, reduction = (
-        scaled(x, wished(p, x, tighten)) if x in p.limits else np.full(p.points, np.nan) for x in _MARGINS
+        scaled(x, required(p, x, tighten)) if x in p.limits else np.full(p.points, np.nan) for x in _MARGINS
     )
     dip = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points).copy()
     return phase, delay, gain, reduction, dip, float(np.log(_SHALLOW)) if p.requirements.objective.bandwidth else 0.0
@@ -210,7 +210,7 @@ def _levels(p: Problem, tighten: Tighten) -> tuple[Array, Array, Array, Array, A
 
 def _at_least(rows: Rows, name: str, e: Evaluation, tighten: Tighten) -> Rows:
     """Rows of ln f, one for each operating point, held against a limit."""
-    room = rows.value - scaled(name, wished(e.p, name, tighten))
+    room = rows.value - scaled(name, required(e.p, name, tighten))
     return Rows(name, room, rows.at, rows.point, rows.i, rows.a, rows.j, rows.b)
 
 
@@ -233,7 +233,7 @@ def _sensitivity_bandwidth(e: Evaluation) -> Rows:
 def _complementary_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
     """Rows of ln f where |T| last falls through -3 dB; where it stays below, short of the wish by what it lacks."""
     over, p = e.ln_L + e.ln_S - HALF_POWER, e.p
-    wish = np.log(wished(p, "complementary_bandwidth_hz", tighten))
+    wish = np.log(required(p, "complementary_bandwidth_hz", tighten))
     found = []
     for i, (a, b) in enumerate(zip(p.first[:-1], p.first[1:], strict=True)):
         above = np.flatnonzero(over[a:b] >= 0.0)
@@ -289,7 +289,7 @@ def _rms_rows(e: Evaluation, tighten: Tighten) -> Iterator[DenseRows]:
     on = _ON_LINES[p]
     each = on.power * np.exp(2.0 * e.ln_S)
     total = on.above + np.bincount(p.owner, weights=each, minlength=p.points)
-    room = scaled(_ERROR_RMS, wished(p, _ERROR_RMS, tighten)) - 0.5 * np.log(np.maximum(total, 1e-300))
+    room = scaled(_ERROR_RMS, required(p, _ERROR_RMS, tighten)) - 0.5 * np.log(np.maximum(total, 1e-300))
     pull = np.zeros((p.points, p.unique_f.size), dtype=complex)
     np.add.at(pull, (p.owner, p.line), each * e.L / (1.0 + e.L) / np.maximum(total, 1e-300)[p.owner])
     largest = np.array([a + each[a:b].argmax() for a, b in zip(p.first[:-1], p.first[1:], strict=True)])

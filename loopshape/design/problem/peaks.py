@@ -16,7 +16,7 @@ from loopshape.core.units import Array, rad
 from loopshape.data.control.controller import HALF_POWER
 from loopshape.design.problem.evaluation import Evaluation, weighed
 from loopshape.design.problem.problem import Problem
-from loopshape.design.problem.rows import SURE, Rows, Tighten, of_kernel, once, scaled, wished
+from loopshape.design.problem.rows import SURE, Rows, Tighten, of_kernel, once, required, scaled
 from loopshape.loop.stability.stability import FIT_DEG
 
 #: name of the limit on the norm of the weighted loop, and of its rows
@@ -121,7 +121,7 @@ def _level(p: Problem, name: str, tighten: Tighten) -> Array:
     """ln of the largest magnitude allowed (points,)."""
     if name == SURE:
         return -np.broadcast_to(np.asarray(tighten.get(SURE, 0.0), dtype=float), p.points)
-    limit = wished(p, name, tighten)
+    limit = required(p, name, tighten)
     if name == "modulus_margin":
         return -scaled(name, limit)
     return np.log(2.0) - scaled(name, limit) if name == "disk_margin" else scaled(name, limit)
@@ -158,7 +158,7 @@ def _beyond(e: Evaluation) -> Iterator[Rows]:
 def _controller_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
     """Rows of |C| at and above its bandwidth's limit, 3 dB and what is tightened (ln) below the largest under it."""
     p, size = e.p, e.ln_C[e.p.wide]
-    limit, lower = float(wished(p, _OF_C, {})[0]), float(np.max(tighten.get(_OF_C, 0.0)))
+    limit, lower = float(required(p, _OF_C, {})[0]), float(np.max(tighten.get(_OF_C, 0.0)))
     split = int(np.searchsorted(p.f_wide, limit * (1.0 - 1e-12)))
     top, rest = int(np.argmax(size[: split + 1])), size[split:]
     peak = np.ones(rest.size, dtype=bool)

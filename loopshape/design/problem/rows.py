@@ -82,7 +82,7 @@ def once(make: Callable[[Problem, Tighten], Made]) -> Callable[[Problem, Tighten
     return known
 
 
-def wished(p: Problem, name: str, tighten: Tighten) -> Array:
+def required(p: Problem, name: str, tighten: Tighten) -> Array:
     """Limit of a quantity at each operating point, tightened, in its own unit; ratios stay above zero."""
     limit = LIMIT_OF[name]
     moved = np.asarray(tighten.get(name, 0.0)) * (1.0 if limit.sense == "at_least" else -1.0)
@@ -107,7 +107,7 @@ def spare_of(name: str, limit: float | Array, room: float | Array) -> Array:
     return np.asarray(sign * np.asarray(limit) * np.expm1(sign * np.asarray(room)))
 
 
-def in_rows(name: str, limit: float | Array, spare: float | Array) -> Array:
-    """A spare as rows count it, to first order."""
+def in_rows(name: str, limit: float | Array, slack: float | Array) -> Array:
+    """A slack as rows count it, to first order."""
     unit = LIMIT_OF[name].unit
-    return np.asarray(scaled(name, np.asarray(spare)) if unit in ("dB", "deg") else np.asarray(spare) / limit)
+    return np.asarray(scaled(name, np.asarray(slack)) if unit in ("dB", "deg") else np.asarray(slack) / limit)

@@ -106,9 +106,9 @@ def feedback_check(
         return nothing_new(false_alarms, e.size, name, bool(period), bool(new.max() < ROUNDING))
     more = _orthonormal(left[:, new >= ROUNDING])
     explained = float(((more.T @ e) ** 2).sum() / (e @ e))
-    added, spare = more.shape[1], e.size - rows.removed - basis.shape[1] - more.shape[1]
-    ratio = (explained / added) / max((1.0 - explained) / spare, 1e-300)
-    probability = float(f_distribution.sf(ratio, added, spare))
+    added, slack = more.shape[1], e.size - rows.removed - basis.shape[1] - more.shape[1]
+    ratio = (explained / added) / max((1.0 - explained) / slack, 1e-300)
+    probability = float(f_distribution.sf(ratio, added, slack))
     alone = np.abs(left.T @ e) / np.sqrt(np.where(new >= ROUNDING, (left**2).sum(axis=0), np.inf))
     lags = rows.stretch(int(np.argmax(alone)), answers_after)
     found = probability < false_alarms and explained >= least

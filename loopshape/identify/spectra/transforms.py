@@ -229,9 +229,9 @@ def window_of(settings: Settings, length: int) -> Array:
 def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
     """Length, step and number of segments; refuses a record with fewer than three averages."""
     rate = recording.rate_hz
-    wished = rate / settings.resolution_hz if settings.resolution_hz else float(_default_length(n, rate))
-    wished = float(settings.segment_samples or wished)
-    length = round(min(wished, 2.0 * n + 4.0))  # longer than the record is too long, however long
+    required = rate / settings.resolution_hz if settings.resolution_hz else float(_default_length(n, rate))
+    required = float(settings.segment_samples or required)
+    length = round(min(required, 2.0 * n + 4.0))  # longer than the record is too long, however long
     step = max(1, round(length * (1.0 - settings.overlap)))
     if settings.segment_samples is not None:
         step = max(1, length - int(length * settings.overlap + 1e-9))

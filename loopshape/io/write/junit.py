@@ -52,8 +52,8 @@ def _add_comparison(suites: ET.Element, comparison: Comparison, allow_worse: boo
     suite = ET.SubElement(suites, "testsuite", name="baseline")
     fails = None if allow_worse else "worse"
     for line in comparison.lines:
-        was, wished, now, wishes = line_change_words(line)
-        text = f"{was} ({wished}) to {now} ({wishes})"
+        was, required, now, wishes = line_change_words(line)
+        text = f"{was} ({required}) to {now} ({wishes})"
         _add_case(suite, f"baseline.{line.loop}", f"outcome of {line.quantity}", text, fails if line.worse else None)
     for s in comparison.stabilities:
         text = f"{s.before} to {s.now}: {s.reason}"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from loopshape.data.requirement.requirements import LIMITS, Margins
 from loopshape.data.result.baseline import Comparison, MarginChange
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import (
     WORDS,
     interval_or_bound_text,
@@ -72,9 +72,9 @@ def _requirements(verdict: Verdict) -> list[str]:
     return parts + (["\n".join(f"- {_escaped(note)}" for note in notes)] if notes else [])
 
 
-def _row(line: Line) -> list[str]:
-    found = f"> {number(line.found)}" if line.beyond else number_of(line, line.found)
-    numbers = [found, interval_or_bound_text(line), number_of(line, line.spare), line.unit, line.recording]
+def _row(line: RequirementResult) -> list[str]:
+    found = f"> {number(line.value)}" if line.beyond else number_of(line, line.value)
+    numbers = [found, interval_or_bound_text(line), number_of(line, line.slack), line.unit, line.recording]
     at = "-" if line.at_hz is None else f"{line.at_hz:.4g}"
     return [line.quantity, wished_text(line), *numbers, at, WORDS[line.outcome] + longer_text(line)]
 

@@ -12,12 +12,14 @@ from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.requirement.requirements import Margins
 from loopshape.data.result.baseline import RANK, Checked
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.io.config_table import ConfigTable, refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
 from loopshape.io.run.run_tables import controller_table, read_controller
 
-FORMAT = "loopshape-verdict/1"
+FORMAT = "loopshape-verdict/2"
+#: what the first version called fields of a requirement's line and of what a detuning loses
+_BEFORE = {"wished": "required", "found": "value", "spare": "slack"}
 _KEYS = {"loop", "outcome", "controller", "data", "lines", "margins", "warnings"}
 _AGAIN = "write it again: loopshape check ... --save-verdict"
 
@@ -56,6 +58,8 @@ def read_verdicts(path: Path) -> tuple[Checked, ...]:
     """
     data = read_json(path)
     found = data.get("format") if isinstance(data, dict) else None
+    if found == "loopshape-verdict/1":
+        data, found = _upgraded(data), FORMAT
     if found != FORMAT:
         later = isinstance(found, str) and found.startswith("loopshape-verdict/")
         raise UnreadableInputError(
@@ -71,10 +75,17 @@ def read_verdicts(path: Path) -> tuple[Checked, ...]:
     return verdicts
 
 
+def _upgraded(data: Any) -> Any:
+    """A file of the first version in the words of this one; a damaged one stays damaged."""
+    if isinstance(data, list):
+        return [_upgraded(one) for one in data]
+    return {_BEFORE.get(key, key): _upgraded(one) for key, one in data.items()} if isinstance(data, dict) else data
+
+
 def _read(table: Mapping[str, Any], where: str) -> Checked:
     _only(table, _KEYS)
     margins = {str(name): _noun(Margins, one) for name, one in table["margins"].items()}
-    lines = tuple(_noun(Line, one) for one in table["lines"])
+    lines = tuple(_noun(RequirementResult, one) for one in table["lines"])
     for word in (*(line.outcome for line in lines), *(m.stable for m in margins.values())):
         if word not in RANK:
             raise ValueError(f"{word!r} is no outcome")

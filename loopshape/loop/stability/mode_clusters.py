@@ -170,9 +170,9 @@ def _remembered(
     lines = np.frombuffer(f), np.frombuffer(P, dtype=complex), np.frombuffer(variance)
     window, delay_s = _window(*lines, stretch)
     fit = _Fit(window, float(lines[0][stretch.first]), float(lines[0][stretch.last]), unstable)
-    spare = window.around.size - window.basis.shape[2]
-    z, left = fit.grown(spare, 2.0 * min(freedom, 1e9))
-    noise = max(fit.misfit(z) / max(spare - 2 * z.size, 1), 1.0)
+    slack = window.around.size - window.basis.shape[2]
+    z, left = fit.grown(slack, 2.0 * min(freedom, 1e9))
+    noise = max(fit.misfit(z) / max(slack - 2 * z.size, 1), 1.0)
     hidden = fit.one_of_several(z)
     if left is Residual.MORE:
         hidden = np.maximum(fit.unexplained(z, noise), hidden)
@@ -206,30 +206,30 @@ class _Fit:
         """Residues (m,) of least misfit, in units of the reference."""
         return np.asarray(np.linalg.lstsq(self._columns(z), self.left, rcond=None)[0])
 
-    def grown(self, spare: int, freedom: float) -> tuple[ComplexArray, Residual]:
-        """The fewest poles that leave no more than noise, and whether any do; polynomials leave `spare` lines.
+    def grown(self, slack: int, freedom: float) -> tuple[ComplexArray, Residual]:
+        """The fewest poles that leave no more than noise, and whether any do; polynomials leave `slack` lines.
 
         None where they explain no more than chance would: the lines scatter.
         """
-        z, first, quiet = np.zeros(0, dtype=complex), spare, False
+        z, first, quiet = np.zeros(0, dtype=complex), slack, False
         none = before = self.misfit(z)
         least = 0.0
-        while z.size < MOST and spare >= (SPARE + 2 if z.size else 3):
+        while z.size < MOST and slack >= (SPARE + 2 if z.size else 3):
             one_more = self.with_one_more(z)
             misfit = self.misfit(one_more)
             if quiet and before - misfit < ONE_MORE + self.looks:
                 break
-            z, spare, before = one_more, spare - 2, misfit
-            quiet = misfit < spare * float(f_distribution.isf(FALSE_ALARM, 2 * spare, freedom))
-            least = min(least, self._chance(none / misfit, z.size, spare))
+            z, slack, before = one_more, slack - 2, misfit
+            quiet = misfit < slack * float(f_distribution.isf(FALSE_ALARM, 2 * slack, freedom))
+            least = min(least, self._chance(none / misfit, z.size, slack))
         if first >= TELLS and none < SCATTERED * first and least > np.log(FALSE_ALARM):
             return z[:0], Residual.SCATTER
         return z, Residual.NOISE if quiet else Residual.MORE
 
-    def _chance(self, fell: float, poles: int, spare: int) -> float:
-        """Logarithm of the chance that the misfit of lines without `poles` falls so many times and `spare` are left."""
-        gained = (fell - 1.0) * spare / (2 * poles)
-        return float(f_distribution.logsf(gained, 4 * poles, 2 * spare)) + poles * self.looks
+    def _chance(self, fell: float, poles: int, slack: int) -> float:
+        """Logarithm of the chance that the misfit of lines without `poles` falls so many times and `slack` are left."""
+        gained = (fell - 1.0) * slack / (2 * poles)
+        return float(f_distribution.logsf(gained, 4 * poles, 2 * slack)) + poles * self.looks
 
     def with_one_more(self, z: ComplexArray) -> ComplexArray:
         """The best poles (m + 1,) that grow from z (m,)."""

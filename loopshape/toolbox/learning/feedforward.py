@@ -92,8 +92,8 @@ def _solved(lines: FRF, relative: Array, taps: int, preview: int, order: int) ->
         np.sqrt(np.log(BELOW) / OUTSIDE) * P_low[:, None] * _basis(low, rate, taps, preview, order),
         QUIET * np.abs(lines.siso[-1]) / np.sqrt(OUTSIDE) * _basis(high, rate, taps, preview, order),
     ]
-    wished = [weights, np.zeros(f.size), np.full(low.size, np.sqrt(np.log(BELOW) / OUTSIDE)), np.zeros(high.size)]
-    A, b = np.vstack(rows), np.concatenate(wished)
+    required = [weights, np.zeros(f.size), np.full(low.size, np.sqrt(np.log(BELOW) / OUTSIDE)), np.zeros(high.size)]
+    A, b = np.vstack(rows), np.concatenate(required)
     A, b = np.vstack([A.real, A.imag]), np.concatenate([b, np.zeros(b.size)])
     size = np.linalg.norm(A, axis=0).max()
     A, b = np.vstack([A, RIDGE * size * np.eye(A.shape[1])]), np.concatenate([b, np.zeros(A.shape[1])])

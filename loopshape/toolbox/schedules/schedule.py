@@ -11,7 +11,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.design.tune import tune
 from loopshape.loop.verdict import check, loops_of
 from loopshape.toolbox.limits.bound import excluded
@@ -162,5 +162,5 @@ def _tuned(
     return controller, verdict
 
 
-def _closer(line: Line) -> float:
-    return (-1.5 if LIMIT_OF[line.quantity].sense == "at_least" else 1.5) * line.spare
+def _closer(line: RequirementResult) -> float:
+    return (-1.5 if LIMIT_OF[line.quantity].sense == "at_least" else 1.5) * line.slack

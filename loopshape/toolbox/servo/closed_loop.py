@@ -41,14 +41,14 @@ def run(
     `sensor` holds noise, resolution (0: none) and range in m; `commands` (n,) takes the force at the drive in N;
     `x` (4,), `m` (4,) and `controller_state` move in place. Gives why it ended and how many ticks are logged.
     """
-    spare, has_spare = 0.0, False
+    slack, has_spare = 0.0, False
     for tick in range(reference.shape[0]):
         position = motion.seen(c, x, m)
         if sensor[0] > 0.0:
             if has_spare:
-                draw, has_spare = spare, False
+                draw, has_spare = slack, False
             else:
-                random_state, draw, spare = noise.normal_pair(random_state)
+                random_state, draw, slack = noise.normal_pair(random_state)
                 has_spare = True
             position += sensor[0] * draw
         if sensor[1] > 0.0:

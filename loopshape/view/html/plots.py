@@ -9,7 +9,7 @@ from typing import Any
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.run_report import CheckedLoop
-from loopshape.data.result.verdict import Line
+from loopshape.data.result.verdict import RequirementResult
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.traces import Trace, embedded
 from loopshape.view.html.words import count, number
@@ -33,15 +33,15 @@ _TITLES = {
 
 def loop_data(checked: CheckedLoop | None, traces: Sequence[Trace]) -> dict[str, Any]:
     """What the script draws of a loop: its curves, what is required, and where each requirement is worst."""
-    wished = None if checked is None else checked.requirements
+    required = None if checked is None else checked.requirements
     return {
         "points": embedded(traces),
-        "requirements": None if wished is None else requirement_words(wished),
+        "requirements": None if required is None else requirement_words(required),
         "rings": [] if checked is None else _rings(checked.verdict.lines, [trace.name for trace in traces]),
     }
 
 
-def _rings(lines: Sequence[Line], names: Sequence[str]) -> list[dict[str, Any]]:
+def _rings(lines: Sequence[RequirementResult], names: Sequence[str]) -> list[dict[str, Any]]:
     """The curve of each requirement's worst operating point, at the frequency that the check names."""
     return [
         {"plot": _plot_of(line), "point": names.index(line.recording), "hz": line.at_hz, "outcome": line.outcome}
@@ -50,7 +50,7 @@ def _rings(lines: Sequence[Line], names: Sequence[str]) -> list[dict[str, Any]]:
     ]
 
 
-def _plot_of(line: Line) -> str:
+def _plot_of(line: RequirementResult) -> str:
     name, _, phase = LIMIT_OF[line.quantity].plot.partition(" ")
     return f"{name}-{'deg' if phase else 'db'}"
 
@@ -92,13 +92,13 @@ def _without_script(checked: CheckedLoop | None) -> Markup:
     return tag("noscript", tag("p", words), tag("figure", tag("img", src=source, alt=alt), class_="pictures"))
 
 
-def nichols_words(wished: Requirements | None) -> str:
+def nichols_words(required: Requirements | None) -> str:
     """What the lines behind the Nichols curves mean."""
     said = ["Grey: |S| constant, dashed |T|."]
-    if wished is not None:
-        closest, peak = closest_db(wished), wished.complementary_peak_db or 0.0
+    if required is not None:
+        closest, peak = closest_db(required), required.complementary_peak_db or 0.0
         said += [] if closest is None else [f"Red, filled: |S| above {number(closest)} dB."]
         said += [f"Red, dashed: |T| at {number(peak)} dB."] if peak > 0.0 else []
-        if wished.phase_margin_deg or wished.gain_margin_db or wished.gain_reduction_margin_db:
+        if required.phase_margin_deg or required.gain_margin_db or required.gain_reduction_margin_db:
             said.append("Red cross: required margins, phase sideways, gain upwards and downwards.")
     return " ".join([*said, "A stable loop keeps the black cross on its left as frequency rises."])

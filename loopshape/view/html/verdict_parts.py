@@ -11,7 +11,7 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit, Margins
 from loopshape.data.result.detuning import Reach
 from loopshape.data.result.run_report import CheckedLoop, RunReport
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import reach_text
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.words import (
@@ -29,12 +29,12 @@ from loopshape.view.html.words import (
     named,
     number,
     point,
+    required,
     shown_unit,
     sign,
-    spare,
+    slack,
     table,
     together,
-    wished,
     with_reach,
 )
 
@@ -96,12 +96,12 @@ def _few(names: Sequence[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def _in_words(line: Line) -> str:
+def _in_words(line: RequirementResult) -> str:
     limit = LIMIT_OF[line.quantity]
     reach, more = f" ({with_reach(line)})" if line.span else "", longer(line)
     at = "" if line.at_hz is None else f", {number(line.at_hz)} Hz"
     return (
-        f"{limit.label}: required {wished(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
+        f"{limit.label}: required {required(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
         f"{f'; {more}' if more else ''}"
     )
 
@@ -123,39 +123,39 @@ def requirements(one: CheckedLoop) -> Markup:
     return table(caption, columns, rows, cards=True)
 
 
-def _requirement(line: Line) -> list[Cell | Content]:
+def _requirement(line: RequirementResult) -> list[Cell | Content]:
     limit = LIMIT_OF[line.quantity]
     more = longer(line)
     verdict = joined([badge(line.outcome), tag("span", more, class_="more") if more else None])
     return [
         limit.label,
         verdict,
-        Cell(wished(line), kind="whole-line"),
+        Cell(required(line), kind="whole-line"),
         Cell(found_text(line), kind="whole-line"),
         Cell(with_reach(line) or DASH, kind="whole-line"),
-        Cell(spare(line), kind="whole-line"),
+        Cell(slack(line), kind="whole-line"),
         Cell(gauge(line, limit), kind="gauge-cell"),
         line.recording,
         number(line.at_hz),
     ]
 
 
-def gauge(line: Line, limit: Limit) -> Markup:
+def gauge(line: RequirementResult, limit: Limit) -> Markup:
     """A requirement as a small scale: forbidden side, limit, interval and value; a dash where the value is infinite."""
-    low, high = line.span or (line.found, line.found)
-    if not np.isfinite([line.found, line.wished, low, high]).all():
+    low, high = line.span or (line.value, line.value)
+    if not np.isfinite([line.value, line.required, low, high]).all():
         return Markup(DASH)
-    ends = np.array([line.wished, line.found, low, high])
-    room = 0.18 * max(float(np.ptp(ends)), 0.15 * max(abs(line.wished), 1e-9))
+    ends = np.array([line.required, line.value, low, high])
+    room = 0.18 * max(float(np.ptp(ends)), 0.15 * max(abs(line.required), 1e-9))
     start, stop = float(ends.min()) - room, float(ends.max()) + room
     at = [
         round(6 + (GAUGE_WIDTH - 12) * (value - start) / (stop - start), 1)
-        for value in (line.wished, line.found, low, high)
+        for value in (line.required, line.value, low, high)
     ]
     middle, tick = GAUGE_HEIGHT // 2, at[0]
     least = limit.sense == "at_least"
     bad = f"M{0 if least else tick} 3H{tick if least else GAUGE_WIDTH}V{GAUGE_HEIGHT - 3}H{0 if least else tick}Z"
-    words = f"required {wished(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
+    words = f"required {required(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
     return tag(
         "svg",
         tag("title", words),
@@ -262,11 +262,11 @@ def _worst(found: Verdict, limit: Limit) -> str:
     return min(values, key=lambda name: values[name], default="") if len(set(values.values())) > 1 else ""
 
 
-def _asked(found: Verdict, limit: Limit) -> Line | None:
+def _asked(found: Verdict, limit: Limit) -> RequirementResult | None:
     return next((line for line in found.lines if line.quantity == limit.name), None)
 
 
-def _margin(m: Margins, limit: Limit, worst: bool, asked: Line | None) -> Cell:
+def _margin(m: Margins, limit: Limit, worst: bool, asked: RequirementResult | None) -> Cell:
     _, factor = shown_unit(limit)
     value, reach = factor * getattr(m, limit.name), m.intervals.get(limit.name)
     beyond = limit.name == "detuning_percent" and m.detuning is not None and m.detuning.worst.beyond

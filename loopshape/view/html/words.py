@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite, isinf, isnan
 
 from loopshape.data.requirement.requirements import LIMIT_OF, Limit
-from loopshape.data.result.verdict import Line
+from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.result.verdict_words import WORDS as OUTCOME_WORDS
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.labels import split_unit
@@ -52,33 +52,33 @@ def with_unit(value: float | None, limit: Limit) -> str:
     return f"{number(None if value is None else factor * value)} {unit}".rstrip()
 
 
-def with_reach(line: Line) -> str:
+def with_reach(line: RequirementResult) -> str:
     """A line's 95 % interval with its unit, empty without one."""
     unit, factor = shown_unit(LIMIT_OF[line.quantity])
     bound = "" if line.bound is None else " (bound)"
     return "" if line.span is None else f"{interval(line.span, factor)} {unit}".rstrip() + bound
 
 
-def found_text(line: Line) -> str:
+def found_text(line: RequirementResult) -> str:
     """The number found, with its sign where it is a bound."""
-    sign = "> " if line.beyond else "" if line.bound is None else "≥ " if line.bound > line.found else "≤ "
-    return sign + with_unit(line.found, LIMIT_OF[line.quantity])
+    sign = "> " if line.beyond else "" if line.bound is None else "≥ " if line.bound > line.value else "≤ "
+    return sign + with_unit(line.value, LIMIT_OF[line.quantity])
 
 
-def spare(line: Line) -> str:
+def slack(line: RequirementResult) -> str:
     """Room left, `≈ 0` where it is within rounding of what is required."""
-    if abs(line.spare) < 1e-4 * abs(line.wished):
+    if abs(line.slack) < 1e-4 * abs(line.required):
         return "≈ 0"
-    return with_unit(line.spare, LIMIT_OF[line.quantity])
+    return with_unit(line.slack, LIMIT_OF[line.quantity])
 
 
-def wished(line: Line) -> str:
+def required(line: RequirementResult) -> str:
     """What a line asks for: at least, or at most."""
     limit = LIMIT_OF[line.quantity]
-    return f"{'≥' if limit.sense == 'at_least' else '≤'} {with_unit(line.wished, limit)}"
+    return f"{'≥' if limit.sense == 'at_least' else '≤'} {with_unit(line.required, limit)}"
 
 
-def longer(line: Line) -> str:
+def longer(line: RequirementResult) -> str:
     """How much more measuring would decide a line, empty for one that is decided."""
     if line.outcome != "undecided":
         return ""

@@ -55,9 +55,9 @@ class ClosedLoops:
     controllers: tuple[Controller, ...]
     unstable_poles: int | None
 
-    def judged(self, wished: Requirements) -> Requirements:
+    def judged(self, required: Requirements) -> Requirements:
         """What is required, with the poles of the plant that is met: those of a file are of the whole plant."""
-        return replace(wished, integrators=None, unstable_poles=self.unstable_poles)
+        return replace(required, integrators=None, unstable_poles=self.unstable_poles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +74,9 @@ class ShapingSession:
     verdict: Verdict
     others: ClosedLoops | None = None
 
-    def judged(self, wished: Requirements) -> Requirements:
+    def judged(self, required: Requirements) -> Requirements:
         """What is required of the plant that is met."""
-        return wished if self.others is None else self.others.judged(wished)
+        return required if self.others is None else self.others.judged(required)
 
 
 def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[str, Any]:
@@ -165,8 +165,8 @@ def _state(seed: int) -> dict[str, str]:
 
 
 def _loop(one: ShapingSession) -> dict[str, Any]:
-    wished = one.judged(one.requirements)
-    loops, notes = loops_of(one.frfs, one.controller, wished, one.fits)
+    required = one.judged(one.requirements)
+    loops, notes = loops_of(one.frfs, one.controller, required, one.fits)
     return {
         "name": one.requirements.loop or one.controller.loop,
         "rate_hz": one.controller.rate_hz,
@@ -178,20 +178,20 @@ def _loop(one: ShapingSession) -> dict[str, Any]:
         ],
         "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
         "certificate": certificate_words(one.verdict),
-        "notes": [*notes, *outside_warnings(wished, loops)],
+        "notes": [*notes, *outside_warnings(required, loops)],
     }
 
 
-def requirement_words(wished: Requirements) -> dict[str, Any]:
+def requirement_words(required: Requirements) -> dict[str, Any]:
     """What is required as its file has it; what is not asked for is left out."""
-    kept = [f.name for f in fields(wished) if f.name not in _APART]
-    out = {name: getattr(wished, name) for name in kept}
-    out |= {name: getattr(wished, name) for name in MASKED if getattr(wished, name)}  # 0 goes without saying
-    out |= {"masks": wished.masks} if wished.masks else {}
-    out |= {"at": [_at_points(x) for x in wished.at]} if wished.at else {}
-    if wished.objective != Objective() and not wished.objective.weighted_norm:
-        out["objective"] = _table(wished.objective)
-    out |= {"structure": [_template(one) for one in wished.structure]} if wished.structure else {}
+    kept = [f.name for f in fields(required) if f.name not in _APART]
+    out = {name: getattr(required, name) for name in kept}
+    out |= {name: getattr(required, name) for name in MASKED if getattr(required, name)}  # 0 goes without saying
+    out |= {"masks": required.masks} if required.masks else {}
+    out |= {"at": [_at_points(x) for x in required.at]} if required.at else {}
+    if required.objective != Objective() and not required.objective.weighted_norm:
+        out["objective"] = _table(required.objective)
+    out |= {"structure": [_template(one) for one in required.structure]} if required.structure else {}
     return {name: json_ready(value) for name, value in out.items() if value is not None}
 
 

@@ -18,7 +18,7 @@ from matplotlib.ticker import FixedLocator
 from loopshape.core.units import Array, db
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, Margins, Requirements
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.loop.points import margins_of, point_outcome, worst_of
 from loopshape.view.key import key_of, varying
 from loopshape.view.labels import number, numbers, quantity
@@ -260,7 +260,7 @@ def _draw_maps(panels: Sequence[Axes], loops: Sequence[Loop], verdict: Verdict) 
 
 
 @styled()
-def _point_map(loops: Sequence[Loop], verdict: Verdict, line: Line, *, ax: Axes) -> Axes:
+def _point_map(loops: Sequence[Loop], verdict: Verdict, line: RequirementResult, *, ax: Axes) -> Axes:
     """One requirement's quantity over the two coordinates that vary: cells lighter the more room they leave.
 
     Cells that miss it are dark and hatched, undecided ones dotted; the verdict's worst cell is framed.
@@ -271,9 +271,9 @@ def _point_map(loops: Sequence[Loop], verdict: Verdict, line: Line, *, ax: Axes)
     known = [(loop, m) for loop, m in found if m is not None]
     xs, ys = (sorted({loop.plant.operating_point[key] for loop in loops}) for key in keys)
     sign = 1.0 if LIMIT_OF[line.quantity].sense == "at_least" else -1.0
-    spare = np.array([sign * (getattr(m, line.quantity) - line.wished) for _, m in known])
-    largest = float(np.max(np.abs(spare[np.isfinite(spare)]), initial=1e-12))
-    for (loop, margins), room in zip(known, spare, strict=True):
+    slack = np.array([sign * (getattr(m, line.quantity) - line.required) for _, m in known])
+    largest = float(np.max(np.abs(slack[np.isfinite(slack)]), initial=1e-12))
+    for (loop, margins), room in zip(known, slack, strict=True):
         place = tuple(loop.plant.operating_point[key] for key in keys)
         at = (xs.index(place[0]), ys.index(place[1]))
         _cell(ax, at, margins, line, float(np.clip(room / largest, -1.0, 1.0)))
@@ -284,13 +284,13 @@ def _point_map(loops: Sequence[Loop], verdict: Verdict, line: Line, *, ax: Axes)
     limit = LIMIT_OF[line.quantity]
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     sense = "≥" if sign > 0.0 else "≤"
-    text = f"{limit.label.split(' (')[0]} {sense} {number(line.wished)}{unit}"
+    text = f"{limit.label.split(' (')[0]} {sense} {number(line.required)}{unit}"
     ax.set_title(text, loc="left", fontsize=7.5, pad=2.5)
     return ax
 
 
-def _cell(ax: Axes, at: tuple[int, int], margins: Margins, line: Line, room: float) -> None:
-    outcome = with_stability(point_outcome(margins, line.quantity, line.wished), margins)
+def _cell(ax: Axes, at: tuple[int, int], margins: Margins, line: RequirementResult, room: float) -> None:
+    outcome = with_stability(point_outcome(margins, line.quantity, line.required), margins)
     colour = _colour(outcome, room)
     edge = ink_on(colour) if _HATCHES[outcome] else "0.55"
     look: dict[str, Any] = {"facecolor": colour, "edgecolor": edge, "linewidth": 0.4, "hatch": _HATCHES[outcome]}

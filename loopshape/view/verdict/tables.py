@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.baseline import Comparison
-    from loopshape.data.result.verdict import Line, Verdict
+    from loopshape.data.result.verdict import RequirementResult, Verdict
 
 Table = tuple[str, Sequence[str], list[list[Any]]]
 
@@ -32,7 +32,7 @@ def verdict_tables(verdict: Verdict, *, margins: bool = True) -> Iterator[Table]
     stable, at, word = stability_of(verdict)
     rows: list[list[Any]] = [["closed loop", "-", "stable", stable, "-", "-", at, "-", word]] if verdict.margins else []
     for line in verdict.lines:
-        numbers = [_cell(line, line.wished), _worst(line), interval_or_bound_text(line), _cell(line, line.spare)]
+        numbers = [_cell(line, line.required), _worst(line), interval_or_bound_text(line), _cell(line, line.slack)]
         word = WORDS[line.outcome] + longer_text(line)
         rows.append([line.quantity, line.unit, *numbers, line.recording, line.at_hz, word])
     columns = ["requirement", "unit", "required", "worst case", "95 % interval", "slack", "at", "at [Hz]", "verdict"]
@@ -60,11 +60,11 @@ def zone_sentence(verdict: Verdict, profile: Profile) -> str:
     return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."
 
 
-def _worst(line: Line) -> object:
-    return f"> {line.found:g}" if line.beyond else _cell(line, line.found)
+def _worst(line: RequirementResult) -> object:
+    return f"> {line.value:g}" if line.beyond else _cell(line, line.value)
 
 
-def _cell(line: Line, value: float) -> object:
+def _cell(line: RequirementResult, value: float) -> object:
     """A number as a table rounds it, an error's as it is: its unit is as large as it likes."""
     return number_of(line, value) if line.quantity == "error_rms" else value
 

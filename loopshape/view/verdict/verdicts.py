@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 
 from loopshape.core.units import Array
 from loopshape.data.requirement.requirements import LIMIT_OF, Margins
-from loopshape.data.result.verdict import Line, Verdict
+from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import WORDS
 from loopshape.loop.points import point_outcome
 from loopshape.view.key import Entry
@@ -81,7 +81,7 @@ _WITHOUT_END: dict[str, Any] = {"marker": "^", "color": "0.3", "markerfacecolor"
 
 
 @styled()
-def margin(verdict: Verdict, line: Line, *, ax: Axes | None = None) -> Axes:
+def margin(verdict: Verdict, line: RequirementResult, *, ax: Axes | None = None) -> Axes:
     """One quantity of every recording with its 95 % interval against its limit; the forbidden side is tinted.
 
     Passed is a filled circle, undecided by these data a hollow diamond, failed a cross; an unstable loop's numbers are
@@ -92,19 +92,19 @@ def margin(verdict: Verdict, line: Line, *, ax: Axes | None = None) -> Axes:
     names, limit = list(verdict.margins), LIMIT_OF[line.quantity]
     found = np.array([getattr(verdict.margins[name], line.quantity) for name in names])
     ends = np.array([_interval(verdict.margins[name], line.quantity) for name in names])
-    low, high = _span(found, ends, line.wished)
+    low, high = _span(found, ends, line.required)
     _points(ax, verdict, line, found, np.clip(ends, low, high))
     edge = np.where(found == np.inf, high, low)
     away = ~np.isfinite(found)
     if away.any():  # an empty line that is not clipped would upset the layout
         ax.plot(np.flatnonzero(away), edge[away], clip_on=False, gid="without end", zorder=4.0, **_WITHOUT_END)
-    ax.axhline(line.wished, color=LIMIT, linewidth=1.1, gid="wished")
-    ax.axhspan(*((low, line.wished) if limit.sense == "at_least" else (line.wished, high)), color=LIMIT, alpha=0.08)
+    ax.axhline(line.required, color=LIMIT, linewidth=1.1, gid="required")
+    ax.axhspan(*((low, line.required) if limit.sense == "at_least" else (line.required, high)), color=LIMIT, alpha=0.08)
     ax.set_ylim(low, high)
     ax.set_xlim(-0.6, len(names) - 0.4)
     ax.set_xticks(np.arange(len(names)), names, rotation=90.0)
     unit = "" if limit.unit == "1" else f" {limit.unit}"
-    required = f"{limit.label}, {limit.sense.replace('_', ' ')} {number(line.wished)}{unit}"
+    required = f"{limit.label}, {limit.sense.replace('_', ' ')} {number(line.required)}{unit}"
     ax.set_title(f"{required}: {WORDS[line.outcome]}", loc="left", fontsize=8.0, pad=2.5)
     ax.set_ylabel(bracket(limit.unit).strip() or "[1]")
     return ax
@@ -115,11 +115,11 @@ def _interval(margins: Margins, quantity: str) -> tuple[float, float]:
     return margins.intervals.get(quantity, (value, value))
 
 
-def _points(ax: Axes, verdict: Verdict, line: Line, found: Array, ends: Array) -> None:
+def _points(ax: Axes, verdict: Verdict, line: RequirementResult, found: Array, ends: Array) -> None:
     """Finite values by outcome, with their intervals; unstable loops apart."""
     groups: dict[str, list[int]] = {}
     for k, (name, margins) in enumerate(verdict.margins.items()):
-        outcome = with_stability(point_outcome(margins, line.quantity, line.wished), margins)
+        outcome = with_stability(point_outcome(margins, line.quantity, line.required), margins)
         if np.isfinite(found[k]):
             groups.setdefault("unstable" if name in verdict.unstable else outcome, []).append(k)
             look = MARKS[outcome]

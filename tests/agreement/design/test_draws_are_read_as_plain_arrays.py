@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, problem_of, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, problem_of, required, servos
 
 import loopshape as ls
 from loopshape.core.kernels.loops.quick_evaluate import quick_evaluate
@@ -66,7 +66,7 @@ def test_margins_of_draws_are_those_of_each_loop(bounded: bool) -> None:
 
 def test_a_glance_ends_early_only_where_no_limit_holds_and_nothing_is_gained() -> None:
     limits = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "control_peak_db": 20.0}
-    p = problem_of(servos(0.01, 300), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
+    p = problem_of(servos(0.01, 300), required(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
     q, rng, ended = glanced(p), np.random.default_rng(4), 0
     for _ in range(150):
         e = Evaluation(p, p.low + rng.random(p.low.size) * (p.high - p.low))
@@ -82,7 +82,7 @@ def test_a_glance_ends_early_only_where_no_limit_holds_and_nothing_is_gained() -
 @pytest.mark.parametrize("goal", [LARGEST, Goal(soft=frozenset({"phase_margin_deg"}))])
 def test_the_linear_programme_holds_every_row_that_may_bind(goal: Goal) -> None:
     limits = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "control_peak_db": 20.0}
-    p = problem_of(servos(0.0, 300), wished(GAIN, LEAD, **limits))
+    p = problem_of(servos(0.0, 300), required(GAIN, LEAD, **limits))
     m = begin(p, 0.5 * (p.low + p.high)).measures
     low, high = np.full(p.low.size, -0.3), np.array([0.3, 0.1, 0.0])
     cost, A, b, lows, highs = linear(m, goal, low, high)

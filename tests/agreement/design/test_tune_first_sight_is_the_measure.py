@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, servos, wished
+from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, required, servos
 
 from loopshape.core.kernels.loops.encirclements import NO_FIT, count_unstable
 from loopshape.core.kernels.loops.flat_loops import mark_peaks, series
@@ -30,7 +30,7 @@ DISK = {"disk_margin": 0.6, "complementary_peak_db": 5.0}
 
 @pytest.mark.parametrize("limits", [LIMITS, MASKED, WEIGHTED, WEIGHTED | {"weighted_norm": 2.0}, DISK])
 def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
-    p = problem_of(servos(0.01, 300), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
+    p = problem_of(servos(0.01, 300), required(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
     q, rng = glanced(p), np.random.default_rng(3)
     apart, seen = [], 0
     for _ in range(150):
@@ -48,7 +48,7 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
 
 
 def test_a_start_has_the_largest_gain_that_holds() -> None:
-    p = problem_of([frf(DELAYED, 400)], wished(GAIN, **LIMITS))
+    p = problem_of([frf(DELAYED, 400)], required(GAIN, **LIMITS))
     seen = scaled_start(p, glanced(p), np.log([0.01]), 30)
     more = begin(p, seen.x + 1e-3).measures
     assert begin(p, seen.x - 1e-3).measures.worst >= 0.0
@@ -56,7 +56,7 @@ def test_a_start_has_the_largest_gain_that_holds() -> None:
 
 
 def test_coarse_lines_keep_resonances_and_measure_alike() -> None:
-    p = problem_of(servos(0.0, 2000), wished(GAIN, LEAD, NOTCH, LOW_PASS, **LIMITS))
+    p = problem_of(servos(0.0, 2000), required(GAIN, LEAD, NOTCH, LOW_PASS, **LIMITS))
     assert p.coarse.f.size < 0.3 * p.f.size
     rng, apart = np.random.default_rng(0), []
     for _ in range(200):
@@ -91,7 +91,7 @@ def test_the_count_is_that_of_the_closed_loop_s_roots() -> None:
 
 
 def test_sections_in_series_are_the_blocks() -> None:
-    p = problem_of([frf(DELAYED, 200)], wished(GAIN, LEAD, NOTCH, LOW_PASS, **LIMITS))
+    p = problem_of([frf(DELAYED, 200)], required(GAIN, LEAD, NOTCH, LOW_PASS, **LIMITS))
     x = 0.5 * (p.low + p.high)
     sections = [block.section() for block in p.blocks(x)]
     plain = np.prod([np.polyval(num[::-1], p.s) / np.polyval(den[::-1], p.s) for num, den in sections], axis=0)

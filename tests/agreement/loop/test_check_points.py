@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import LIMIT_OF, LIMITS, Block, Line, Loop
+from bench_nouns import LIMIT_OF, LIMITS, Block, Loop, RequirementResult
 from conversions import TWO_PI
 
 import loopshape as ls
@@ -39,7 +39,7 @@ def margins(modulus: float, low: float | None = None, stable: str = "stable", at
     )  # fmt: skip
 
 
-def verdict(*found: ls.Margins, lines: tuple[Line, ...] = ()) -> ls.Verdict:
+def verdict(*found: ls.Margins, lines: tuple[RequirementResult, ...] = ()) -> ls.Verdict:
     return ls.Verdict("axis", lines, {f"r{k + 1}": m for k, m in enumerate(found)})
 
 
@@ -54,8 +54,8 @@ def test_the_outcome_of_the_verdicts_point_is_the_lines_outcome() -> None:
     found = ls.check(frfs, controller, replace(requirements, bandwidth_hz=on_the_limit))
     outcomes = set()
     for line in found.lines:
-        assert point_outcome(found.margins[line.recording], line.quantity, line.wished) == line.outcome
-        each = [point_outcome(m, line.quantity, line.wished) for m in found.margins.values()]
+        assert point_outcome(found.margins[line.recording], line.quantity, line.required) == line.outcome
+        each = [point_outcome(m, line.quantity, line.required) for m in found.margins.values()]
         outcomes |= set(each)
         expected = "failed" if "failed" in each else "undecided" if "undecided" in each else "passed"
         assert line.outcome == expected
@@ -89,9 +89,9 @@ def test_with_a_verdict_the_low_end_of_the_interval_counts() -> None:
 
 def test_what_is_missed_comes_before_what_is_near_and_what_is_unstable_before_both() -> None:
     some = loops(20.0, 30.0, 45.0)
-    missed = Line("phase_margin_deg", "deg", 45.0, 40.0, -5.0, "failed", "r3", 4.0)
-    doubted = Line("gain_margin_db", "dB", 6.0, 6.1, -0.1, "undecided", "r2", 9.0)
-    far = Line("bandwidth_hz", "Hz", 9.0, 4.0, -5.0, "failed", "r2", 4.0)
+    missed = RequirementResult("phase_margin_deg", "deg", 45.0, 40.0, -5.0, "failed", "r3", 4.0)
+    doubted = RequirementResult("gain_margin_db", "dB", 6.0, 6.1, -0.1, "undecided", "r2", 9.0)
+    far = RequirementResult("bandwidth_hz", "Hz", 9.0, 4.0, -5.0, "failed", "r2", 4.0)
     near = (margins(0.3), margins(0.5), margins(0.6))
     worst = worst_of(some, verdict(*near, lines=(doubted, missed, far)))
     assert (worst.index, worst.at_hz, worst.why) == (2, 4.0, "misses phase margin")

@@ -65,7 +65,7 @@ def differences(verdict: ls.Verdict, found: dict[str, Any], without: tuple[str, 
     others = [(row["quantity"], row["outcome"]) for row in found["rows"]]
     out += [] if rows == others else [f"{rows} and {others}"]
     for line, row in zip(verdict.lines, found["rows"], strict=False):
-        pairs = [(line.wished, row["wished"]), (line.spare, row["spare"])]
+        pairs = [(line.required, row["wished"]), (line.slack, row["spare"])]
         out += [] if max(far(a, b) for a, b in pairs) < AGREES else [f"{line.quantity}: {pairs}"]
     return out + ([] if verdict.outcome == found["outcome"] else [f"{verdict.outcome} and {found['outcome']}"])
 

@@ -24,5 +24,5 @@ def test_numbers_that_are_not_known_are_null(capsys: pytest.CaptureFixture[str])
     found = strict(capsys.readouterr().out)
     assert found["shortfall"]["miss"] is None
     assert found["shortfall"]["relaxations"][0]["reachable"] is None
-    assert found["shortfall"]["relaxations"][0]["wished"] == 45.0
+    assert found["shortfall"]["relaxations"][0]["required"] == 45.0
     assert (found["gain_margin_db"], found["each"]) == ("inf", [1.0, None])

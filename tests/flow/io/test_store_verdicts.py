@@ -21,9 +21,9 @@ from loopshape.loop.baseline import compare, same_controller
 
 LINES = (
     line(interval=(38.0, 42.5)),
-    line("gain_margin_db", "undecided", unit="dB", wished=5.0, found=5.5, interval=(4.0, 7.0), longer=2.25),
-    line("sensitivity_peak_db", "failed", unit="dB", wished=6.0, found=8.4, interval=(8.1, 8.7), at_hz=None),
-    line("gain_reduction_margin_db", found=inf, longer=None, interval=(20.0, inf)),
+    line("gain_margin_db", "undecided", unit="dB", required=5.0, value=5.5, interval=(4.0, 7.0), longer=2.25),
+    line("sensitivity_peak_db", "failed", unit="dB", required=6.0, value=8.4, interval=(8.1, 8.7), at_hz=None),
+    line("gain_reduction_margin_db", value=inf, longer=None, interval=(20.0, inf)),
 )
 POINTS = {
     "r1": margins({"gain_margin_db": inf, "disk_margin": nan}, around(VALUES, 0.1)),

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 import report_run
 import typer
-from bench_nouns import Line
+from bench_nouns import RequirementResult
 from page_in_browser import browser, until
 from run_files import gather
 from typer.testing import CliRunner
@@ -152,7 +152,7 @@ def test_the_verdict_and_every_line_are_there(parts: Page, run: Path) -> None:
     assert {"passed": "pass", "undecided": "undecided", "failed": "FAIL"}[found.outcome] in head
     for line in found.lines:
         assert line.recording in parts.text
-        assert f"{line.found:.4g}".replace("-", "\N{MINUS SIGN}") in parts.text
+        assert f"{line.value:.4g}".replace("-", "\N{MINUS SIGN}") in parts.text
     for m in found.margins.values():
         assert f"{m.modulus_margin:.4g}" in parts.text
         assert m.stability_reason in parts.text
@@ -160,10 +160,10 @@ def test_the_verdict_and_every_line_are_there(parts: Page, run: Path) -> None:
 
 def test_ends_of_a_bound_read_the_same_in_check_and_report() -> None:
     """The bound's own interval says nothing of how much better the value may be: its good end is `bound`."""
-    bound = Line(
+    bound = RequirementResult(
         "control_high_frequency_db", "dB", 60.0, 59.98, 0.0, "undecided", "a", 90.0, (59.97, 60.0), bound=59.69
     )
-    least = Line("gain_margin_db", "dB", 6.0, 10.8, 4.7, "passed", "a", 90.0, (10.7, 10.9), bound=14.0)
+    least = RequirementResult("gain_margin_db", "dB", 6.0, 10.8, 4.7, "passed", "a", 90.0, (10.7, 10.9), bound=14.0)
     assert interval_or_bound_text(bound) == "59.69 .. 60 (bound)"
     assert interval_or_bound_text(least) == "10.7 .. 14 (bound)"
     assert with_reach(bound) == "59.69 … 60 dB (bound)"

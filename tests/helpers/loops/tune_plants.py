@@ -54,7 +54,7 @@ def servos(std=0.0, lines=400):
     return [frf(servo(m), lines, f"load {m}", 0.5, 1500.0, std, k) for k, m in enumerate((0.8, 1.0, 1.5))]
 
 
-def wished(*structure, **limits):
+def required(*structure, **limits):
     """Requirements of the loop "one", whose plant has one integrator; a gain where no structure is given."""
     return ls.Requirements.from_table(
         {"name": "one", "integrators": 1, "unstable_poles": 0, "structure": list(structure) or [GAIN]} | limits

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bench_nouns import LIMITS, Block, Checked, Line
+from bench_nouns import LIMITS, Block, Checked, RequirementResult
 
 import loopshape as ls
 
@@ -24,10 +24,10 @@ def around(values, half):
     return {name: (value - half, value + half) for name, value in values.items()}
 
 
-def line(quantity="phase_margin_deg", outcome="passed", wished=30.0, found=40.0, **words):
+def line(quantity="phase_margin_deg", outcome="passed", required=30.0, value=40.0, **words):
     """A line of a verdict."""
-    spare = {"passed": 5.0, "failed": -5.0, "undecided": -1.0}[outcome]
-    made = Line(quantity, "deg", wished, found, spare, outcome, "r1", 3.0)
+    slack = {"passed": 5.0, "failed": -5.0, "undecided": -1.0}[outcome]
+    made = RequirementResult(quantity, "deg", required, value, slack, outcome, "r1", 3.0)
     return replace(made, **words)
 
 

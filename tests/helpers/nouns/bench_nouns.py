@@ -9,7 +9,7 @@ from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.baseline import Checked
 from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
 from loopshape.data.result.prediction import INDICATORS, Indicators, Step, StepComparison
-from loopshape.data.result.verdict import Line
+from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Sampled, Staircase, Sweep
 from loopshape.data.signal.experiment import Experiment, LoopSetup
@@ -34,7 +34,6 @@ __all__ = [
     "GainScheduled",
     "Indicators",
     "Integrator",
-    "Line",
     "Loop",
     "LoopMatrix",
     "LoopSetup",
@@ -47,6 +46,7 @@ __all__ = [
     "Rational",
     "Reach",
     "RecordingInfo",
+    "RequirementResult",
     "Sampled",
     "Settings",
     "Staircase",

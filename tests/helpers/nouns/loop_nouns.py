@@ -41,7 +41,7 @@ def gain(value: float = 1.0) -> ls.Controller:
     return ls.Controller("axis", (Block("gain", {"gain": value}),), RATE)
 
 
-def wished(**changes: object) -> ls.Requirements:
+def required(**changes: object) -> ls.Requirements:
     given: dict[str, object] = {
         "loop": "axis",
         "integrators": 1,

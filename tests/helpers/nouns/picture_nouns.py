@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from bench_nouns import Block, Estimate, Line, Loop, LoopSetup, RecordingInfo, TransferFunction
+from bench_nouns import Block, Estimate, Loop, LoopSetup, RecordingInfo, RequirementResult, TransferFunction
 from conversions import TWO_PI, rad
 
 import loopshape as ls
@@ -141,8 +141,8 @@ def margins(k: int = 0, stable: str = "stable") -> ls.Margins:
 def verdict() -> ls.Verdict:
     found = {f"r{k + 1:02d}": margins(k, "undecided" if k == 7 else "stable") for k in range(24)}
     lines = tuple(
-        Line(name, unit, wished, 0.0, 0.0, "passed", "r01", None)
-        for name, unit, wished in (
+        RequirementResult(name, unit, required, 0.0, 0.0, "passed", "r01", None)
+        for name, unit, required in (
             ("gain_margin_db", "dB", 6.0),
             ("gain_reduction_margin_db", "dB", 6.0),
             ("phase_margin_deg", "deg", 35.0),

@@ -65,8 +65,8 @@ def test_errors_that_both_measurements_share_are_counted_once():
 
 def test_an_outer_loop_that_is_tuned_is_stable_with_the_inner_one_closed():
     structure = ls.diagrams.cascade(both(std=0.003), INNER, ASKED)
-    wished = ls.Requirements("outer", phase_margin_deg=45.0, sensitivity_peak_db=6.0)
-    made = ls.tune(structure, wished, [ls.gain(), ls.lead_lag()], starts=2)
+    required = ls.Requirements("outer", phase_margin_deg=45.0, sensitivity_peak_db=6.0)
+    made = ls.tune(structure, required, [ls.gain(), ls.lead_lag()], starts=2)
     assert made.verdict.passed
     G1, G2 = (control.c2d(control.ss(one), 1.0 / RATE) for one in (MOTOR, LOAD))
     through = control.feedback(control.ss(in_z(INNER)), G1)  # C1/(1 + C1 G1)

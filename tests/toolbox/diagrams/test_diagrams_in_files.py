@@ -9,7 +9,7 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from bench_nouns import Line, LoopSetup
+from bench_nouns import LoopSetup, RequirementResult
 from commands import loopshape
 from run_files import gather, write_frfs
 
@@ -185,7 +185,9 @@ def test_a_diagram_s_report_fails_with_a_loop_within(run: Path) -> None:
     """The outcome of the whole counts a requirement of a loop within that is missed."""
     made = gather(run, run.parent / "c.toml", None, "today", diagram=run.parent / "diagram.toml")
     assert made.outcome == "none"
-    asked = replace(made.inner["C2"], lines=(Line("phase_margin_deg", "deg", 60.0, 10.0, -50.0, "failed", "r", None),))
+    asked = replace(
+        made.inner["C2"], lines=(RequirementResult("phase_margin_deg", "deg", 60.0, 10.0, -50.0, "failed", "r", None),)
+    )
     assert replace(made, inner={"C2": asked}).outcome == "failed"
 
 

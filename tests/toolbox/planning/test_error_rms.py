@@ -113,8 +113,8 @@ def test_the_verdict_has_a_row_and_is_passed_failed_or_undecided():
     rng, truth = np.random.default_rng(4), true_rms(NEW)
     run, P = recorded(rng), measured(rng)
     for limit, outcome in ((2.0 * truth, "passed"), (0.5 * truth, "failed")):
-        wished = ls.Requirements("axis", error_rms=limit, unstable_poles=0, integrators=0)
-        verdict = ls.check(P, gain(NEW), wished, disturbance=run)
+        required = ls.Requirements("axis", error_rms=limit, unstable_poles=0, integrators=0)
+        verdict = ls.check(P, gain(NEW), required, disturbance=run)
         (line,) = verdict.lines
         assert (line.quantity, line.outcome, verdict.outcome) == ("error_rms", outcome, outcome)
     verdict = ls.check(P, gain(NEW), R)
@@ -196,7 +196,7 @@ def test_a_tuning_comes_up_to_the_limit_of_the_error_and_keeps_it():
     assert rms_under(gain_found) == pytest.approx(limit, rel=5e-3)
     assert any(b.quantity == "error_rms" for b in made.binding)
     (line,) = (x for x in made.verdict.lines if x.quantity == "error_rms")
-    assert line.found <= limit
+    assert line.value <= limit
 
 
 def test_the_examples_of_the_page_run():

@@ -7,7 +7,7 @@ from dataclasses import MISSING, fields, replace
 from types import SimpleNamespace
 
 import pytest
-from bench_nouns import LIMITS, Line, RecordingInfo
+from bench_nouns import LIMITS, RecordingInfo, RequirementResult
 from verdict_cases import CONTROLLER, margins
 
 import loopshape as ls
@@ -53,7 +53,9 @@ def test_a_limit_is_asked_for_and_found_under_one_name(name):
 
 @pytest.mark.parametrize("limit", LIMITS, ids=NAMES)
 def test_the_report_shows_each_quantity_in_one_of_its_two_tables(limit):
-    found = ls.Verdict("axis", (Line(limit.name, limit.unit, 1.0, 10.0, 1.0, "passed", "r1", 3.0),), {"r1": margins()})
+    found = ls.Verdict(
+        "axis", (RequirementResult(limit.name, limit.unit, 1.0, 10.0, 1.0, "passed", "r1", 3.0),), {"r1": margins()}
+    )
     one = SimpleNamespace(verdict=found, frfs=(), loops=(), controller=CONTROLLER)
     tables = str(margin_tables(one)).split("<table")[1:]
     assert [str(_column(limit)) in table for table in tables] == [limit.margin, not limit.margin]

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tune_plants import GAIN, LEAD, frf, problem_of, servo, wished
+from tune_plants import GAIN, LEAD, frf, problem_of, required, servo
 
 import loopshape as ls
 from loopshape.data.control.controller import series_response
@@ -25,11 +25,11 @@ def plant():
 
 @pytest.fixture(scope="module")
 def grown(plant):
-    return tune([plant], wished(GAIN, LEAD, **LIMITS), starts=2, explain=False, grow=1)
+    return tune([plant], required(GAIN, LEAD, **LIMITS), starts=2, explain=False, grow=1)
 
 
 def test_each_step_gains_and_the_first_is_the_tuning_without_growth(plant, grown):
-    alone = tune([plant], wished(GAIN, LEAD, **LIMITS), starts=2, explain=False)
+    alone = tune([plant], required(GAIN, LEAD, **LIMITS), starts=2, explain=False)
     assert grown.growth[0].added == ""
     assert grown.growth[0].bandwidth_hz == alone.bandwidth_hz
     found = [step.bandwidth_hz for step in grown.growth]
@@ -38,13 +38,13 @@ def test_each_step_gains_and_the_first_is_the_tuning_without_growth(plant, grown
 
 
 def test_what_is_grown_passes_a_check_of_its_own(plant, grown):
-    verdict = ls.check([plant], grown.controller, wished(GAIN, **LIMITS))
+    verdict = ls.check([plant], grown.controller, required(GAIN, **LIMITS))
     assert verdict.passed
     assert min(m.bandwidth_hz for m in verdict.margins.values()) == pytest.approx(grown.bandwidth_hz, rel=0.05)
 
 
 def test_growth_stops_below_the_stated_gain(plant):
-    found = tune([plant], wished(GAIN, LEAD, **LIMITS), starts=2, explain=False, grow=1, least_gain=50.0)
+    found = tune([plant], required(GAIN, LEAD, **LIMITS), starts=2, explain=False, grow=1, least_gain=50.0)
     assert len(found.growth) == 1
     assert len(found.controller.blocks) == 2
 
@@ -55,7 +55,7 @@ def test_a_dip_below_the_bandwidth_is_seen_and_its_slopes_are_exact():
     s, w = 1j * f, 20.0
     P = 100.0 / s * (s * s + 0.4 * w * s + w * w) / (s + w) ** 2
     plant = ls.FRF.from_arrays(f, P, relative_std=0.0, rate_hz=10_000.0, loop="one")
-    p = problem_of([plant], wished(GAIN, LEAD, **LIMITS))
+    p = problem_of([plant], required(GAIN, LEAD, **LIMITS))
     x = np.log([1.3, 40.0, 400.0])
     m = measure(p, x, {})
     (k,) = [i for i, what in enumerate(m.what) if what == DIP]
@@ -77,7 +77,7 @@ def test_an_anti_resonance_between_the_lines_is_read_as_deep_as_it_is():
 
     f = np.arange(5.0, 150.0)
     plant = ls.FRF.from_arrays(f, response(f), relative_std=1e-4, rate_hz=10_000.0, loop="one")
-    p = problem_of([plant], wished(GAIN, LEAD, **LIMITS))
+    p = problem_of([plant], required(GAIN, LEAD, **LIMITS))
     gain = 1.5 / np.abs(response(np.array([53.0, 54.0]))).min()
     dense = np.linspace(5.0, 60.0, 200_000)
     truth = dense[np.argmax(gain * np.abs(response(dense)) < 1.0)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bench_nouns import Block
-from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, frf, problem_of, servos, wished
+from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, frf, problem_of, required, servos
 
 import loopshape as ls
 from loopshape.design.problem.measures import measure
@@ -22,7 +22,7 @@ def mean_rejection_db(plant, controller, below_hz):
 
 
 def test_rejection_is_the_mean_of_s_over_ln_f():
-    found = tune([frf(DELAYED)], wished(GAIN, PI, **NEAR, objective=LOW))
+    found = tune([frf(DELAYED)], required(GAIN, PI, **NEAR, objective=LOW))
     assert found.feasible
     expected = mean_rejection_db(frf(DELAYED), found.controller, 3.0)
     assert found.rejection_db == pytest.approx(expected, rel=1e-9)
@@ -30,7 +30,7 @@ def test_rejection_is_the_mean_of_s_over_ln_f():
 
 
 def test_a_gain_and_pi_are_where_a_grid_finds_them():
-    plant, asked = frf(DELAYED, 300), wished(GAIN, PI, **NEAR, objective=LOW)
+    plant, asked = frf(DELAYED, 300), required(GAIN, PI, **NEAR, objective=LOW)
     found, best = tune([plant], asked), -np.inf
     p = problem_of([plant], asked)
     for gain in np.geomspace(5.0, 30.0, 40):
@@ -47,7 +47,7 @@ def test_each_objective_is_the_best_at_its_own_and_a_weighted_one_between():
     blocks, plants = (GAIN, LEAD, PI, NOTCH, LOW_PASS), servos(lines=200)
     limits = NEAR | {"control_peak_db": 10.0}
     kinds = ("bandwidth", LOW | {"bandwidth": 0.7}, LOW)
-    made = [tune(plants, wished(*blocks, **limits, objective=kind), starts=8, draws=30) for kind in kinds]
+    made = [tune(plants, required(*blocks, **limits, objective=kind), starts=8, draws=30) for kind in kinds]
     assert all(one.feasible for one in made)
     hz = [one.bandwidth_hz for one in made]
     down = [min(mean_rejection_db(plant, one.controller, 3.0) for plant in plants) for one in made]
@@ -59,7 +59,7 @@ def test_each_objective_is_the_best_at_its_own_and_a_weighted_one_between():
 
 def test_the_worst_operating_point_counts():
     plants = servos()
-    found = tune(plants, wished(GAIN, LEAD, LOW_PASS, **NEAR, objective=LOW))
+    found = tune(plants, required(GAIN, LEAD, LOW_PASS, **NEAR, objective=LOW))
     each = [mean_rejection_db(plant, found.controller, 3.0) for plant in plants]
     assert found.rejection_db == pytest.approx(min(each), rel=1e-9)
     assert found.objective == pytest.approx(min(each) * np.log(10.0) / 20.0, rel=1e-9)
@@ -87,6 +87,7 @@ def test_objectives_as_files_write_them(given, meant):
 def test_an_objective_does_not_change_a_check():
     controller = ls.Controller("one", (Block("gain", {"gain": 10.0}),), RATE)
     lines = [
-        ls.check([frf(DELAYED)], controller, wished(GAIN, **NEAR, objective=kind)).lines for kind in ("bandwidth", LOW)
+        ls.check([frf(DELAYED)], controller, required(GAIN, **NEAR, objective=kind)).lines
+        for kind in ("bandwidth", LOW)
     ]
     assert lines[0] == lines[1]

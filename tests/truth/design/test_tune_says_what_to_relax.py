@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, servos, wished
+from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, frf, problem_of, required, servos
 
 from loopshape.design import relax
 from loopshape.design.problem.measures import measure
@@ -12,7 +12,7 @@ from loopshape.design.tune import tune
 
 PLANT = frf(DELAYED, 3000)
 # k exp(-0.02 s)/s with 45 deg: crossover at most 45/360/0.02 = 6.25 Hz; with 8 Hz 90 - 8 0.02 360 = 32.4 deg are left
-APART = wished(GAIN, phase_margin_deg=45.0, bandwidth_hz=8.0)
+APART = required(GAIN, phase_margin_deg=45.0, bandwidth_hz=8.0)
 
 
 @pytest.fixture(scope="module")
@@ -31,16 +31,16 @@ def test_each_requirement_gives_what_the_textbook_says(known):
 
 def test_a_tuning_with_what_it_says_is_feasible_and_with_less_it_is_not(known):
     for one in known.shortfall.relaxations:
-        give = one.reachable - one.wished
-        assert tune([PLANT], replace(APART, **{one.quantity: one.wished + 1.001 * give}), explain=False).feasible
-        assert not tune([PLANT], replace(APART, **{one.quantity: one.wished + 0.98 * give}), explain=False).feasible
+        give = one.reachable - one.required
+        assert tune([PLANT], replace(APART, **{one.quantity: one.required + 1.001 * give}), explain=False).feasible
+        assert not tune([PLANT], replace(APART, **{one.quantity: one.required + 0.98 * give}), explain=False).feasible
 
 
 def test_what_holds_them_apart_is_named_with_shares_that_sum_to_one(known):
     why = known.shortfall
     assert {pull.quantity for pull in why.pulls} == {"bandwidth_hz", "phase_margin_deg"}
     assert sum(pull.share for pull in why.pulls) == pytest.approx(1.0)
-    assert all(pull.spare < 0.0 for pull in why.pulls)
+    assert all(pull.slack < 0.0 for pull in why.pulls)
     # one gain: the two slopes by ln k, 1 and -w d, cancel
     shares = {pull.quantity: pull.share for pull in why.pulls}
     crossover = 2.0 * np.pi * known.bandwidth_hz
@@ -62,7 +62,7 @@ def test_a_dip_that_binds_is_no_requirement_that_could_give(monkeypatch):
 
 
 def test_the_certificate_holds_no_small_change_makes_the_worst_miss_smaller():
-    asked = wished(
+    asked = required(
         GAIN, LEAD, NOTCH, LOW_PASS,
         sensitivity_peak_db=5.0, phase_margin_deg=40.0, control_peak_db=5.0, bandwidth_hz=14.0,
     )  # fmt: skip
@@ -100,13 +100,13 @@ def test_one_that_does_not_do_alone_is_not_offered():
 
 
 def test_requirements_that_are_met_have_no_shortfall():
-    assert tune([PLANT], wished(GAIN, phase_margin_deg=45.0)).shortfall is None
+    assert tune([PLANT], required(GAIN, phase_margin_deg=45.0)).shortfall is None
 
 
 def test_without_a_stable_start_it_says_so():
     unstable = frf(DELAYED, 400)
     stuck = {"kind": "gain", "gain": {"min": 500.0, "max": 1000.0}}  # crossover far beyond the delay's limit
-    why = tune([unstable], wished(stuck, phase_margin_deg=10.0)).shortfall
+    why = tune([unstable], required(stuck, phase_margin_deg=10.0)).shortfall
     assert not why.stable
     assert not why.certified
     assert why.relaxations == ()

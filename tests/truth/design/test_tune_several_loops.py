@@ -11,7 +11,7 @@ from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
 
 
-def wished(name, **limits):
+def required(name, **limits):
     table = {
         "name": name,
         "integrators": 1,
@@ -27,7 +27,7 @@ def wished(name, **limits):
     return ls.Requirements.from_table(table | limits)
 
 
-WISHES = (wished("a"), wished("b"))
+WISHES = (required("a"), required("b"))
 WHOLE = ls.SeveralRequirements(unstable_poles=0)
 FEW = {"starts": 4, "draws": 20, "several": WHOLE}
 

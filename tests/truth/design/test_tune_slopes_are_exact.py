@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_nouns import Block
-from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, problem_of, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, problem_of, required, servos
 
 import loopshape as ls
 from loopshape.data.requirement import requirements
@@ -70,7 +70,7 @@ def differences(p, x, k, step=1e-6):
 
 @pytest.mark.parametrize("runs", [{}, {"prewarp_hz": 70.0, "computation_delay_s": 1e-4, "added_hold": True}])
 def test_slopes_agree_with_finite_differences(runs):
-    p = problem_of(servos(), wished(*STRUCTURE, **LIMITS, objective=OBJECTIVE), **runs)
+    p = problem_of(servos(), required(*STRUCTURE, **LIMITS, objective=OBJECTIVE), **runs)
     x = np.log(AT)
     here = measure(p, x, {})
     assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz", "masks", "weights"}
@@ -90,7 +90,7 @@ def test_slopes_agree_with_finite_differences(runs):
 @pytest.mark.parametrize("response", ["S", "T", "CS", "PS"])
 def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
     rising = [{"response": response, "points": [[1.0, -60.0], [1400.0, -60.0], [3000.0, 140.0]]}]
-    asked = wished(GAIN, LEAD, LOW_PASS, weights=[*WEIGHTS, *rising], objective="weighted_norm")
+    asked = required(GAIN, LEAD, LOW_PASS, weights=[*WEIGHTS, *rising], objective="weighted_norm")
     p, x = problem_of(servos(), asked), np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
     here = measure(p, x, {})
     assert here.norms[-1].at[here.norms[-1].value.argmin()] >= p.f.size
@@ -103,7 +103,7 @@ def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
 def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
     f, held_by = np.geomspace(0.02, 3000.0, 4000), ls.Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
     still = ls.Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), held_by=held_by)
-    asked = wished(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, error_rms=2.0)
+    asked = required(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, error_rms=2.0)
     loops = loops_of(servos(0.0, 800), ls.Controller("one", (Block("gain", {"gain": 1.0}),), RATE), asked)[0]
     p = problem(loops, asked, RATE, opened=[opened(loop, still, RATE) for loop in loops])
     x = np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
@@ -118,7 +118,7 @@ def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
 
 
 def test_slopes_of_a_pid_agree_with_finite_differences():
-    p = problem_of(servos(), wished(GAIN, PID, LOW_PASS, **LIMITS))
+    p = problem_of(servos(), required(GAIN, PID, LOW_PASS, **LIMITS))
     x = np.log([0.4, 0.3, 60.0, 700.0, 500.0, 0.7])
     here = measure(p, x, {})
     for k in range(x.size):
@@ -128,7 +128,7 @@ def test_slopes_of_a_pid_agree_with_finite_differences():
 
 
 def test_a_tied_parameter_moves_its_twin():
-    p = problem_of(servos(), wished(*STRUCTURE, **LIMITS))
+    p = problem_of(servos(), required(*STRUCTURE, **LIMITS))
     notch = p.controller(np.log(AT)).blocks[3]
     assert notch.parameters["f1_hz"] == notch.parameters["f2_hz"] == pytest.approx(75.0)
     free = [(v.block, v.name) for v in p.variables]
@@ -138,7 +138,7 @@ def test_a_tied_parameter_moves_its_twin():
 
 def test_bandwidths_of_s_and_t_out_of_sight_still_have_slopes():
     # a gain far too low: |S| starts above -3 dB, |T| never comes up to it; the rooms must say which way to go
-    p = problem_of(servos(), wished(PI, GAIN, **LIMITS))
+    p = problem_of(servos(), required(PI, GAIN, **LIMITS))
     here = measure(p, np.log([0.1, 0.02]), {})
     for name in ("sensitivity_bandwidth_hz", "complementary_bandwidth_hz", "bandwidth_hz"):
         rows = np.array([what == name for what in here.what])
@@ -149,7 +149,7 @@ def test_bandwidths_of_s_and_t_out_of_sight_still_have_slopes():
 
 
 def test_tightening_a_limit_takes_just_that_room():
-    p = problem_of(servos(), wished(*STRUCTURE, **LIMITS))
+    p = problem_of(servos(), required(*STRUCTURE, **LIMITS))
     x, at_first = np.log(AT), np.array([0.5, 0.0, 0.0])
     free, tight = measure(p, x, {}), measure(p, x, {"phase_margin_deg": at_first})
     rows = np.array([what == "phase_margin_deg" for what in free.what])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_nouns import Block
-from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, required, servos
 
 import loopshape as ls
 from loopshape.design.search import begin
@@ -15,7 +15,7 @@ from loopshape.design.tune import _no_worse, tune, warm_start
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
 BLOCKS = (GAIN, LEAD, NOTCH, LOW_PASS)
 PLANTS = servos()
-ASKED = wished(*BLOCKS, **LIMITS)
+ASKED = required(*BLOCKS, **LIMITS)
 #: slow and safe, its blocks in another order than the structure's
 SLOW = ls.Controller(
     "one",
@@ -42,7 +42,7 @@ def test_blocks_find_their_places_by_kind():
 
 
 def test_the_kth_of_a_kind_stands_for_the_kth():
-    p = problem_of(PLANTS, wished(GAIN, LEAD, LEAD, **LIMITS))
+    p = problem_of(PLANTS, required(GAIN, LEAD, LEAD, **LIMITS))
     leads = [Block("lead_lag", {"f1_hz": f1, "f2_hz": f2}) for f1, f2 in ((3.0, 40.0), (20.0, 200.0))]
     x, _ = warm_start(p, ls.Controller("one", (*leads, Block("gain", {"gain": 0.5})), RATE))
     np.testing.assert_allclose(np.exp(x), [0.5, 3.0, 40.0, 20.0, 200.0])
@@ -99,7 +99,7 @@ def test_it_runs_as_the_start_runs():
 
 def test_what_does_not_fit_is_moved_and_said():
     fixed = {"kind": "low_pass", "order": 2, "f_hz": 250.0, "damping": {"min": 0.8, "max": 1.5}}
-    p = problem_of(PLANTS, wished(GAIN, LEAD, NOTCH, fixed, **LIMITS))
+    p = problem_of(PLANTS, required(GAIN, LEAD, NOTCH, fixed, **LIMITS))
     start = replace(SLOW, blocks=(SLOW.blocks[0], replace_notch(80.0), *SLOW.blocks[2:]))
     x, moved = warm_start(p, start)
     assert p.controller(x).blocks[3].parameters == {"f_hz": 250.0, "damping": pytest.approx(0.8)}

@@ -206,22 +206,22 @@ def converted(value: float, step: float, low: float, high: float) -> float:
 
 @in_line
 def sense(
-    theta: float, p_a: float, p_b: float, sensors: Sensors, random_state: int, spare: float, has_spare: bool
+    theta: float, p_a: float, p_b: float, sensors: Sensors, random_state: int, slack: float, has_spare: bool
 ) -> tuple[float, float, float, int, float, bool]:
     """Angle and pressures (rad, Pa, Pa) with noise and converters, and the noise's state after."""
     if sensors.noise_rad > 0.0 or sensors.noise_pa > 0.0:
         random_state, n1, n2 = noise.normal_pair(random_state)
         if has_spare:
-            n3, has_spare = spare, False
+            n3, has_spare = slack, False
         else:
-            random_state, n3, spare = noise.normal_pair(random_state)
+            random_state, n3, slack = noise.normal_pair(random_state)
             has_spare = True
         theta += sensors.noise_rad * n1
         p_a += sensors.noise_pa * n2
         p_b += sensors.noise_pa * n3
     theta = converted(theta, sensors.step_rad, -sensors.reach_rad, sensors.reach_rad)
     p_a = converted(p_a, sensors.step_pa, 0.0, sensors.reach_pa)
-    return theta, p_a, converted(p_b, sensors.step_pa, 0.0, sensors.reach_pa), random_state, spare, has_spare
+    return theta, p_a, converted(p_b, sensors.step_pa, 0.0, sensors.reach_pa), random_state, slack, has_spare
 
 
 @in_line
@@ -297,11 +297,11 @@ def run(
     signals, errors, v, entering = np.zeros(4), np.zeros(2), np.zeros(2), np.zeros(2)
     follows = wiring.scheduled.any()
     n_edges, u_a, u_b = 0, 0.0, 0.0
-    spare, has_spare = 0.0, False
+    slack, has_spare = 0.0, False
     for tick in range(references.shape[0]):
         true, true_a, true_b = memory.sensed(c, x, m, tick_s)
-        theta, p_a, p_b, random_state, spare, has_spare = sense(
-            true, true_a, true_b, sensors, random_state, spare, has_spare
+        theta, p_a, p_b, random_state, slack, has_spare = sense(
+            true, true_a, true_b, sensors, random_state, slack, has_spare
         )
         if closed:
             errors[0] = references[tick, 0] - theta

@@ -39,7 +39,7 @@ def test_margins_of_the_published_pair(delay_s, phase_deg, gain_db, peak_db):
 
 
 def test_it_meets_the_sources_requirements_with_and_without_the_delay():
-    wished = ls.Requirements(
+    required = ls.Requirements(
         "theta2",
         sensitivity_peak_db=value("required.sensitivity"),
         phase_margin_deg=value("required.phase_margin"),
@@ -48,6 +48,6 @@ def test_it_meets_the_sources_requirements_with_and_without_the_delay():
         integrators=1,
         unstable_poles=0,
     )
-    verdict = ls.check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, wished)
+    verdict = ls.check([arm_frf(0.0), arm_frf(0.0055)], TABLE_5_1, required)
     assert verdict.passed
     assert {line.recording for line in verdict.lines} - {"delay 0.0"} == {"delay 0.0055"}  # the delayed one is worse

@@ -40,7 +40,7 @@ def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz:
     )
 
 
-def wished(**limits: object) -> ls.Requirements:
+def required(**limits: object) -> ls.Requirements:
     table = {
         "name": "one",
         "integrators": 1,
@@ -53,7 +53,7 @@ def wished(**limits: object) -> ls.Requirements:
 def test_a_gain_for_an_integrator_with_delay_has_its_textbook_value() -> None:
     # k exp(-s d)/s: the phase at crossover w is -90 deg - w d, so 45 deg of margin allow w = (pi/4)/d
     delay = 0.02
-    found = ls.tune([plant(TransferFunction([2.0], [1.0, 0.0], delay), 2000)], wished(phase_margin_deg=45.0))
+    found = ls.tune([plant(TransferFunction([2.0], [1.0, 0.0], delay), 2000)], required(phase_margin_deg=45.0))
     crossover = 0.25 * np.pi / delay
     assert found.feasible
     assert found.bandwidth_hz == pytest.approx(crossover / (2.0 * np.pi), rel=1e-3)
@@ -65,7 +65,7 @@ def test_the_gain_margin_binds_where_it_should() -> None:
     # k/(s (s/w + 1)^2): gain margin 2 w/k, so 6.0206 dB ask for k = w
     w = 2.0 * np.pi * 5.0
     model = TransferFunction([1.0], np.polymul([1.0, 0.0], np.polymul([1 / w, 1.0], [1 / w, 1.0])))
-    found = ls.tune([plant(model, 3000)], wished(gain_margin_db=6.020599913))
+    found = ls.tune([plant(model, 3000)], required(gain_margin_db=6.020599913))
     assert found.controller.blocks[0].parameters["gain"] == pytest.approx(w, rel=1e-3)
 
 
@@ -74,7 +74,7 @@ def test_the_worst_of_several_plants_decides() -> None:
     plants = [
         plant(TransferFunction([k], [1.0, 0.0], d), 1000, f"d{d}") for k, d in zip((1.0, 2.0, 1.0), delays, strict=True)
     ]
-    found = ls.tune(plants, wished(phase_margin_deg=60.0))
+    found = ls.tune(plants, required(phase_margin_deg=60.0))
     # phase margin 60 deg at w d = pi/6; gains 1, 2, 1: the second one binds with the smallest gain
     gain = np.pi / 6.0 / 0.02 / 2.0
     assert found.controller.blocks[0].parameters["gain"] == pytest.approx(gain, rel=1e-3)
@@ -117,11 +117,11 @@ def test_every_limit_holds_at_all_24_equilibria(tuned) -> None:
 
 def test_what_binds_has_no_room_left(tuned) -> None:
     _, _, found = tuned
-    spare = {line.quantity: line.spare for line in found.verdict.lines}
+    slack = {line.quantity: line.slack for line in found.verdict.lines}
     named = {b.quantity for b in found.binding}
     assert "bandwidth_hz" in named
     for quantity in named - {"bandwidth_hz"}:
-        assert spare[quantity] < 0.05
+        assert slack[quantity] < 0.05
     assert named & {"sensitivity_peak_db", "phase_margin_deg", "control_peak_db", "gain_margin_db"}
 
 
@@ -181,7 +181,7 @@ def test_tuned_beats_the_source_by_more_than_the_bar(tuned) -> None:
 
 def test_limits_that_cannot_hold_say_what_they_miss() -> None:
     found = ls.tune(
-        [plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], wished(phase_margin_deg=45.0, bandwidth_hz=20.0)
+        [plant(TransferFunction([2.0], [1.0, 0.0], 0.02))], required(phase_margin_deg=45.0, bandwidth_hz=20.0)
     )
     assert not found.feasible
     assert not found.verdict.passed
@@ -193,7 +193,7 @@ def test_tied_and_fixed_parameters_stay_so(tuned) -> None:
     _, _, found = tuned
     notch = next(b for b in found.controller.blocks if b.kind == "notch")
     assert notch.parameters["f1_hz"] == notch.parameters["f2_hz"]
-    fixed = wished(
+    fixed = required(
         phase_margin_deg=45.0,
         structure=[
             {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}},
@@ -228,7 +228,7 @@ def test_an_integral_controller_is_tuned_stably() -> None:
 @pytest.mark.parametrize(("size", "holds"), [(1.0005, False), (1.01, True)])
 def test_l_that_only_touches_one_at_the_first_frequency_does_not_do(size: float, holds: bool) -> None:
     # a little less, as a search may leave it, and `check` has no crossover to count from
-    limits = wished(integrators=0, phase_margin_deg=45.0)
+    limits = required(integrators=0, phase_margin_deg=45.0)
     frf = plant(TransferFunction([1.0], np.polymul([0.1, 1.0], [0.2, 1.0])))
     p = problem(
         loops_of([frf], ls.Controller("one", (Block("gain", {"gain": 1.0}),), 10_000.0), limits)[0], limits, 1e4
@@ -265,7 +265,7 @@ def test_a_limit_that_binds_beyond_the_last_frequency_alone_is_settled() -> None
         {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}},
         {"kind": "lead_lag", "f1_hz": 20.0, "f2_hz": {"min": 200.0, "max": 4000.0}},
     ]
-    found = ls.tune([noisy], wished(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
+    found = ls.tune([noisy], required(phase_margin_deg=30.0, control_peak_db=20.0, structure=structure))
     assert found.verdict.passed
     assert {b.quantity for b in found.binding} == {"bandwidth_hz", "control_peak_db"}
     peak = next(iter(found.verdict.margins.values()))

@@ -160,8 +160,10 @@ def test_the_loop_that_ran_passes_a_check_of_its_recordings(folder: Path) -> Non
     again = ls.read(folder / "new")
     found = remeasure(again, read_predictions(folder / "prediction.npz"), tolerance_db=1.5)
     plants = [plant_behind(frf, again.loop("theta2").control) for one in found for frf in one.measured]
-    wished = ls.Requirements("theta2", sensitivity_peak_db=9.0, phase_margin_deg=25.0, integrators=1, unstable_poles=0)
-    verdict = ls.check(plants, found[0].prediction.controller, wished)
+    required = ls.Requirements(
+        "theta2", sensitivity_peak_db=9.0, phase_margin_deg=25.0, integrators=1, unstable_poles=0
+    )
+    verdict = ls.check(plants, found[0].prediction.controller, required)
     assert verdict.outcome == "passed", verdict
     tighter = ls.Requirements("theta2", sensitivity_peak_db=1.0, integrators=1, unstable_poles=0)
     assert ls.check(plants, found[0].prediction.controller, tighter).outcome == "failed"

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from bench_nouns import Block
-from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, required, servos
 
 import loopshape as ls
 from loopshape.data.control.controller import controller_bandwidth_hz
@@ -45,20 +45,20 @@ def test_it_is_measured_from_the_top_of_a_lead():
 @pytest.mark.long
 def test_the_tuner_keeps_it_and_it_costs():
     limits = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 6.0, "control_peak_db": 20.0}
-    free = tune(servos(), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
+    free = tune(servos(), required(GAIN, LEAD, NOTCH, LOW_PASS, **limits))
     most = 0.3 * controller_bandwidth_hz(free.controller)
-    kept = tune(servos(), wished(GAIN, LEAD, NOTCH, LOW_PASS, **limits, controller_bandwidth_hz=most), explain=False)
+    kept = tune(servos(), required(GAIN, LEAD, NOTCH, LOW_PASS, **limits, controller_bandwidth_hz=most), explain=False)
     assert controller_bandwidth_hz(kept.controller) <= most
     assert controller_bandwidth_hz(kept.controller) > 0.98 * most
     assert 0.3 * free.bandwidth_hz < kept.bandwidth_hz < free.bandwidth_hz
 
 
 def test_a_check_reads_it():
-    asked = wished(GAIN, phase_margin_deg=10.0, controller_bandwidth_hz=100.0)
+    asked = required(GAIN, phase_margin_deg=10.0, controller_bandwidth_hz=100.0)
     line = next(
         one
         for one in ls.check(servos(), ls.Controller("one", (Block("gain", {"gain": 0.01}),), RATE), asked).lines
         if one.quantity == "controller_bandwidth_hz"
     )
     assert line.outcome == "failed"
-    assert line.found == 0.5 * RATE
+    assert line.value == 0.5 * RATE

@@ -141,9 +141,9 @@ def outcome(std, seed, **words):
     return verdict.lines[0]
 
 
-@pytest.mark.parametrize(("wished", "expected"), [(12.0, "passed"), (8.4, "undecided"), (6.0, "failed")])
-def test_a_requirement_is_passed_failed_or_not_decided(wished, expected):
-    found = [outcome(0.05, seed, sensitivity_peak_db=wished).outcome for seed in range(8)]
+@pytest.mark.parametrize(("required", "expected"), [(12.0, "passed"), (8.4, "undecided"), (6.0, "failed")])
+def test_a_requirement_is_passed_failed_or_not_decided(required, expected):
+    found = [outcome(0.05, seed, sensitivity_peak_db=required).outcome for seed in range(8)]
     assert found.count(expected) >= 7
 
 
@@ -152,10 +152,10 @@ def test_an_undecided_line_says_how_much_more_measuring_would_decide():
     line = next(one for one in tried if one.outcome == "undecided")
     assert line.longer > 1.0
     low, high = line.interval
-    half = (high - line.found) if line.found < line.wished else (line.found - low)
+    half = (high - line.value) if line.value < line.required else (line.value - low)
     # the interval shrinks as one over the root of the time: just so far that it ends at the limit
-    assert half / np.sqrt(line.longer) == pytest.approx(abs(line.wished - line.found), rel=1e-9)
-    assert line.spare < 0.0
+    assert half / np.sqrt(line.longer) == pytest.approx(abs(line.required - line.value), rel=1e-9)
+    assert line.slack < 0.0
 
 
 def test_the_verdict_is_as_undecided_as_its_lines():

@@ -143,9 +143,9 @@ def test_an_unstable_loop_has_no_margins_to_compare():
 
 
 def test_lines_that_changed_are_said_worst_first_and_a_limit_that_was_moved_too():
-    before = [line("bandwidth_hz", "failed"), line(outcome="passed", wished=45.0), line("gain_margin_db", "passed")]
+    before = [line("bandwidth_hz", "failed"), line(outcome="passed", required=45.0), line("gain_margin_db", "passed")]
     before += [line("modulus_margin", "passed")]
-    now = [line("bandwidth_hz", "passed"), line(outcome="passed", wished=40.0), line("gain_margin_db", "undecided")]
+    now = [line("bandwidth_hz", "passed"), line(outcome="passed", required=40.0), line("gain_margin_db", "undecided")]
     now += [line("disk_margin", "failed")]
     found = compare([checked({"r1": margins()}, before)], [checked({"r1": margins()}, now)])
     said = {x.quantity: (x.before and x.before.outcome, x.now and x.now.outcome, x.worse) for x in found.lines}

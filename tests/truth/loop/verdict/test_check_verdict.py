@@ -60,7 +60,7 @@ def test_a_requirement_missed_at_one_point_fails_and_names_point_and_frequency()
     assert not verdict.passed
     assert (gain.passed, gain.recording) == (False, worst) == (False, "strong")
     assert gain.found == pytest.approx(alone[worst].gain_margin_db, abs=1e-5)  # lines known to 1e-6
-    assert gain.spare == pytest.approx(gain.found - 8.0, abs=1e-4)
+    assert gain.slack == pytest.approx(gain.found - 8.0, abs=1e-4)
     assert gain.at_hz == alone[worst].at_hz["gain_margin_db"]
     assert gain.unit == "dB"
     assert phase.passed
@@ -81,7 +81,7 @@ def test_a_peak_is_at_most_what_is_wished(quantity):
     (read,) = over.margins.values()
     low, high = read.intervals[quantity]
     assert high - low < 1e-3  # dB: lines known to 1e-6, joined by chords over 0.5 % of frequency
-    assert line_of(over, quantity).spare == pytest.approx(value - 0.01 - high, abs=1e-6)
+    assert line_of(over, quantity).slack == pytest.approx(value - 0.01 - high, abs=1e-6)
     assert line_of(over, quantity).at_hz == found.at_hz[quantity]
 
 
@@ -99,7 +99,7 @@ def test_a_margin_that_no_line_shows_is_as_large_as_l_at_the_first_line():
             ls.check(POINTS[:1], controller(), wish(gain_reduction_margin_db=required)), "gain_reduction_margin_db"
         )
         assert (line.outcome, line.bound) == (outcome, np.inf)
-        assert line.found == pytest.approx(first_db, abs=1e-3)
+        assert line.value == pytest.approx(first_db, abs=1e-3)
 
 
 def margins_loop():
@@ -112,7 +112,7 @@ def test_bandwidth_met_and_missed():
     met, missed = (ls.check(POINTS[:1], controller(), wish(bandwidth_hz=f)) for f in (2.5, 3.0))
     assert met.passed
     assert not missed.passed
-    assert line_of(missed, "bandwidth_hz").spare == pytest.approx(crossover - 3.0, abs=1e-5)  # lines known to 1e-6
+    assert line_of(missed, "bandwidth_hz").slack == pytest.approx(crossover - 3.0, abs=1e-5)  # lines known to 1e-6
 
 
 def test_a_loop_whose_crossover_lies_below_its_lines_has_no_bandwidth_and_does_not_pass():
@@ -120,7 +120,7 @@ def test_a_loop_whose_crossover_lies_below_its_lines_has_no_bandwidth_and_does_n
     assert not verdict.passed
     assert verdict.unstable == ("high lines",)
     line = line_of(verdict, "bandwidth_hz")  # it lies somewhere below the first line
-    assert (line.found, line.outcome, line.bound) == (0.0, "undecided", F[F > 7.0][0])
+    assert (line.value, line.outcome, line.bound) == (0.0, "undecided", F[F > 7.0][0])
     assert np.isnan(verdict.margins["high lines"].phase_margin_deg)
 
 
@@ -150,7 +150,7 @@ def test_control_at_high_frequency_counts_the_controller_above_the_last_line():
     C = np.abs(controller().response(np.geomspace(50.0, 450.0, 2000))) / (1.0 - last)
     verdict = ls.check([short], controller(), wish(control_high_frequency_db=0.0, control_high_frequency_from_hz=50.0))
     line = line_of(verdict, "control_high_frequency_db")
-    assert line.found == pytest.approx(db(C.max()), abs=0.5)  # above_hz has lines 3 % apart, |C| falls 40 dB a decade
+    assert line.value == pytest.approx(db(C.max()), abs=0.5)  # above_hz has lines 3 % apart, |C| falls 40 dB a decade
     assert 50.0 <= line.at_hz < 53.0
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from bench_nouns import LIMIT_OF, Block
 from conversions import angular, db
-from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, RATE, frf, servos, wished
+from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, RATE, frf, servos
+from tune_plants import required as asking
 
 import loopshape as ls
 from loopshape.loop.verdict import check
@@ -44,9 +45,9 @@ def test_a_mask_is_exceeded_by_what_its_definition_says(response, noise):
     if noise:
         low, high = line.interval
         assert low - 0.1 < over.max() < high + 0.1
-        assert line.spare == pytest.approx(-high)
+        assert line.slack == pytest.approx(-high)
     else:
-        assert line.found == pytest.approx(over.max(), abs=1e-3)
+        assert line.value == pytest.approx(over.max(), abs=1e-3)
         assert line.at_hz == pytest.approx(F[inside][over.argmax()], rel=0.02)
     assert line.outcome == ("failed" if over.max() > 0.0 else "passed")
 
@@ -57,13 +58,13 @@ def test_a_floor_of_the_open_loop_is_missed_where_the_loop_gain_is_too_low():
     inside = (F >= 0.1) & (F <= 0.5)
     short = np.interp(np.log(F[inside]), np.log([0.1, 0.5]), [20.0, 6.0]) - db(np.abs(L[inside]))
     assert line.quantity == "loop_floor_db"
-    assert line.found == pytest.approx(short.max(), abs=1e-3)
+    assert line.value == pytest.approx(short.max(), abs=1e-3)
 
 
 def test_a_flat_mask_on_s_is_a_limit_on_its_peak():
     both = required(sensitivity_peak_db=6.0, masks=[{"response": "S", "points": [[0.05, 6.0], [5000.0, 6.0]]}])
     peak, mask = checked([frf(DELAYED, std=0.02)], both).lines
-    assert mask.spare == pytest.approx(peak.spare, abs=0.05)
+    assert mask.slack == pytest.approx(peak.slack, abs=0.05)
     assert mask.at_hz == pytest.approx(peak.at_hz, rel=0.05)
 
 
@@ -88,13 +89,13 @@ MASKS = [
 
 
 def test_a_tuning_honours_masks_and_comes_up_to_them():
-    asked = wished(GAIN, LEAD, LOW_PASS, phase_margin_deg=35.0, masks=MASKS)
+    asked = asking(GAIN, LEAD, LOW_PASS, phase_margin_deg=35.0, masks=MASKS)
     made = ls.tune(servos(0.01), asked, starts=6)
     assert made.verdict.passed
-    slack = {line.quantity: line.spare for line in made.verdict.lines}
+    slack = {line.quantity: line.slack for line in made.verdict.lines}
     assert min(slack.values()) < 0.1  # something binds
     assert min(slack["sensitivity_mask_db"], slack["control_mask_db"]) < 0.1
-    free = ls.tune(servos(0.01), wished(GAIN, LEAD, LOW_PASS, phase_margin_deg=35.0), starts=6)
+    free = ls.tune(servos(0.01), asking(GAIN, LEAD, LOW_PASS, phase_margin_deg=35.0), starts=6)
     assert not check(servos(0.01), free.controller, asked).passed
     assert free.bandwidth_hz > made.bandwidth_hz
 
@@ -105,27 +106,27 @@ def at_loads():
 
 
 def test_a_limit_that_depends_on_the_operating_point_is_judged_there_alone():
-    asked = wished(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [1.2, 2.0]}, "phase_margin_deg": 45.0}])
+    asked = asking(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [1.2, 2.0]}, "phase_margin_deg": 45.0}])
     frfs, low = at_loads(), ls.Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
     found = check(frfs, low, asked, detuned=False)
     (line,) = found.lines
     slack = {name: m.phase_margin_deg - (45.0 if name == "load 1.5" else 30.0) for name, m in found.margins.items()}
     assert line.recording == min(slack, key=slack.get)
-    assert line.wished == (45.0 if line.recording == "load 1.5" else 30.0)
-    nowhere = wished(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [5.0, 9.0]}, "phase_margin_deg": 45.0}])
+    assert line.required == (45.0 if line.recording == "load 1.5" else 30.0)
+    nowhere = asking(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [5.0, 9.0]}, "phase_margin_deg": 45.0}])
     assert any("at no operating point" in text for text in check(frfs, low, nowhere, detuned=False).warnings)
 
 
 def test_a_tuning_honours_limits_of_single_operating_points():
     own = {"where": {"load": [1.2, 2.0]}, "phase_margin_deg": 60.0, "masks": [MASKS[1]]}
-    asked = wished(GAIN, LEAD, phase_margin_deg=40.0, at=[own])
+    asked = asking(GAIN, LEAD, phase_margin_deg=40.0, at=[own])
     made = ls.tune(at_loads(), asked, starts=6)
     assert made.verdict.passed
     margins = made.verdict.margins
     assert margins["load 1.5"].phase_margin_deg > 60.0 - 1e-6
     assert np.isnan(margins["load 0.8"].control_mask_db)
     assert margins["load 1.5"].control_mask_db < 1e-6
-    plain = ls.tune(at_loads(), wished(GAIN, LEAD, phase_margin_deg=40.0), starts=6)
+    plain = ls.tune(at_loads(), asking(GAIN, LEAD, phase_margin_deg=40.0), starts=6)
     assert plain.bandwidth_hz > made.bandwidth_hz
 
 

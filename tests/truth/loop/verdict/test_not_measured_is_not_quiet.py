@@ -131,7 +131,7 @@ def test_peaks_and_reduction_below_the_first_line_are_read_by_models_of_the_lowe
     assert verdict.outcome == "failed"
     for line in verdict.lines:
         assert line.outcome == "failed"
-        assert line.found == pytest.approx(truth[line.quantity], abs=0.05)
+        assert line.value == pytest.approx(truth[line.quantity], abs=0.05)
 
 
 AC_COUPLED = ls.Requirements(phase_margin_deg=45, sensitivity_peak_db=6, integrators=-1, unstable_poles=0)

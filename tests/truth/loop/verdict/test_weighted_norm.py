@@ -16,7 +16,7 @@ from bench_nouns import Block, TransferFunction
 from commands import invoked
 from conversions import TWO_PI
 from run_files import write_frfs
-from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, servos, wished
+from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, required, servos
 
 import loopshape as ls
 from loopshape.design.problem.shifts import judged
@@ -81,7 +81,7 @@ def test_the_norm_is_that_of_python_control():
     R = ls.Requirements(weights=weights, weighted_norm=truth * 1.01, unstable_poles=0, integrators=1)
     found = ls.check(plant, C, R)
     (line,) = found.lines
-    assert line.found == pytest.approx(truth, rel=1e-4)
+    assert line.value == pytest.approx(truth, rel=1e-4)
     assert (line.quantity, line.outcome) == ("weighted_norm", "passed")
 
 
@@ -101,7 +101,7 @@ def test_each_weight_is_on_its_own_response(responses):
 def test_the_interval_holds_the_norm_of_the_plants_without_noise(noise):
     weights = tuple(map(ls.Weight.from_table, FOUR))
     C = ls.Controller("one", (Block("gain", {"gain": 0.2}), Block("lead_lag", {"f1_hz": 12.0, "f2_hz": 200.0})), RATE)
-    asked = wished(weighted_norm=2.0, weights=FOUR)
+    asked = required(weighted_norm=2.0, weights=FOUR)
     found = check(servos(noise), C, asked, detuned=False).margins
     for plant, margins in zip(servos(0.0, 4000), found.values(), strict=True):
         truth, (low, high) = norm_of(plant, C, weights), margins.intervals["weighted_norm"]
@@ -112,8 +112,8 @@ def test_the_interval_holds_the_norm_of_the_plants_without_noise(noise):
 def test_tuned_to_the_norm_it_is_smaller_than_at_the_largest_bandwidth_and_within_the_margins():
     limits = {"phase_margin_deg": 45.0, "control_peak_db": 20.0}
     blocks = (GAIN, LEAD, PI, LOW_PASS)
-    small = ls.tune(servos(0.01), wished(*blocks, **limits, weights=FOUR, objective="weighted_norm"), starts=6)
-    fast = ls.tune(servos(0.01), wished(*blocks, **limits, weights=FOUR), starts=6)
+    small = ls.tune(servos(0.01), required(*blocks, **limits, weights=FOUR, objective="weighted_norm"), starts=6)
+    fast = ls.tune(servos(0.01), required(*blocks, **limits, weights=FOUR), starts=6)
     assert small.feasible
     assert fast.feasible
     assert small.weighted_norm < 0.98 * fast.weighted_norm
@@ -136,8 +136,8 @@ def test_a_start_is_never_made_worse_and_no_larger_structure_beats_the_optimum()
 
 
 def test_the_norm_as_a_limit_holds_while_the_bandwidth_grows():
-    loose = wished(GAIN, LEAD, LOW_PASS, phase_margin_deg=30.0)
-    tight = wished(GAIN, LEAD, LOW_PASS, phase_margin_deg=30.0, weights=FOUR, weighted_norm=1.6)
+    loose = required(GAIN, LEAD, LOW_PASS, phase_margin_deg=30.0)
+    tight = required(GAIN, LEAD, LOW_PASS, phase_margin_deg=30.0, weights=FOUR, weighted_norm=1.6)
     free, held = (ls.tune(servos(), one, starts=4) for one in (loose, tight))
     assert held.verdict.passed
     assert held.weighted_norm == pytest.approx(1.6, rel=0.01)
@@ -228,7 +228,7 @@ structure = [{ kind = "gain", gain = { min = 0.01, max = 100.0 } }, { kind = "le
 
 
 def test_where_no_limit_binds_and_stability_is_undecided_the_search_goes_on_at_all_points():
-    asked = wished(GAIN, LEAD, weights=FOUR, objective="weighted_norm")
+    asked = required(GAIN, LEAD, weights=FOUR, objective="weighted_norm")
     p, asks = problem_of(servos(), asked), []
     loops = dict(zip("abc", loops_of(servos(), p.unit, asked)[0], strict=True))
 

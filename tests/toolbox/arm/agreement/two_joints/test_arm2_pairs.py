@@ -131,10 +131,10 @@ def test_the_closed_linear_loop_answers_as_its_frequency_response_says(delay_sam
     held = np.sinc(f / 1000.0) * np.exp(-2j * np.pi * f * (0.5 + delay_samples) / 1000.0)  # a zero-order hold
     C = np.stack([one.response(f) for one in controllers], axis=1)
     L = lin.response(f) * held[:, None, None] * C[:, None, :]
-    wished = np.linalg.solve(np.eye(4) + L, L)
+    required = np.linalg.solve(np.eye(4) + L, L)
     z = np.exp(2j * np.pi * f / 1000.0)
     got = [loop.outputs @ np.linalg.solve(one * np.eye(len(loop.dynamics)) - loop.dynamics, loop.inputs) for one in z]
-    np.testing.assert_allclose(got, wished, rtol=0.0, atol=1e-4 * np.abs(wished).max())
+    np.testing.assert_allclose(got, required, rtol=0.0, atol=1e-4 * np.abs(required).max())
     assert loop.stable
     assert loop.step(0, 8.0)[-1] == pytest.approx([1.0, 0.0, 0.0, 0.0], abs=0.01)
 
