@@ -16,7 +16,7 @@ from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment as experiment_of
 from loopshape.toolbox.rig.simulated import plan
-from loopshape.toolbox.rig.verbs.machine import ended_early
+from loopshape.toolbox.rig.verbs.machine import ended_early, measure
 
 RATE_HZ = 1000.0
 LOOP = """
@@ -104,7 +104,7 @@ def target(count: int = 1, coupling: float = 0.1, **board: object) -> Target:
 
 def measured(study: Path, out: Path, port: str, *, arm: bool = True) -> list[str]:
     """`loopshape measure` without its FRFs: what ended early."""
-    return ended_early(ls.rig.measure(study, out, port=port, arm=arm, watch=Output(quiet=True)))
+    return ended_early(measure(study, out, port=port, arm=arm, watch=Output(quiet=True)))
 
 
 def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> dict[str, np.ndarray]:
