@@ -59,12 +59,12 @@ def test_a_requirement_missed_at_one_point_fails_and_names_point_and_frequency()
     worst = min(alone, key=lambda name: alone[name].gain_margin_db)
     assert not verdict.passed
     assert (gain.passed, gain.recording) == (False, worst) == (False, "strong")
-    assert gain.found == pytest.approx(alone[worst].gain_margin_db, abs=1e-5)  # lines known to 1e-6
-    assert gain.slack == pytest.approx(gain.found - 8.0, abs=1e-4)
+    assert gain.value == pytest.approx(alone[worst].gain_margin_db, abs=1e-5)  # lines known to 1e-6
+    assert gain.slack == pytest.approx(gain.value - 8.0, abs=1e-4)
     assert gain.at_hz == alone[worst].at_hz["gain_margin_db"]
     assert gain.unit == "dB"
     assert phase.passed
-    assert phase.found == pytest.approx(min(m.phase_margin_deg for m in alone.values()), abs=1e-4)
+    assert phase.value == pytest.approx(min(m.phase_margin_deg for m in alone.values()), abs=1e-4)
     assert verdict.unstable == ()
 
 
@@ -176,8 +176,8 @@ def test_requirements_may_narrow_the_band():
     assert line_of(whole, "sensitivity_peak_db").at_hz > 60.0
     assert narrow.passed
     assert any("is used from 0.5" in note and "|S| reads 14 dB" in note for note in narrow.warnings)
-    assert line_of(narrow, "sensitivity_peak_db").found == pytest.approx(
-        line_of(clean, "sensitivity_peak_db").found, abs=1e-5
+    assert line_of(narrow, "sensitivity_peak_db").value == pytest.approx(
+        line_of(clean, "sensitivity_peak_db").value, abs=1e-5
     )
 
 
@@ -189,9 +189,9 @@ def test_a_band_that_ends_too_early_does_not_hide_a_peak():
     lines = POINTS[0].between(0.5, 3.5)
     last = np.abs(Loop(lines, controller(), 1, unstable_poles=0).L[-1])
     found = line_of(narrow, "sensitivity_peak_db")
-    assert found.found == pytest.approx(-float(db(1.0 - last)))
+    assert found.value == pytest.approx(-float(db(1.0 - last)))
     assert found.at_hz == lines.frequency_hz[-1]
-    assert found.found > line_of(whole, "sensitivity_peak_db").found
+    assert found.value > line_of(whole, "sensitivity_peak_db").value
     assert whole.passed
     assert not narrow.passed
 

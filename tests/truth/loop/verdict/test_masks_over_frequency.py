@@ -134,7 +134,7 @@ def test_a_shift_of_the_plant_must_keep_the_mask_too():
     peak = required(sensitivity_peak_db=8.0, detuning_percent=1.0)
     mask = required(detuning_percent=1.0, masks=[{"response": "S", "points": [[0.01, 8.0], [5000.0, 8.0]]}])
     one, two = (checked([frf(DELAYED, lines=300)], x).lines[-2:] for x in (peak, mask))
-    found = [next(x for x in lines if x.quantity == "detuning_percent").found for lines in (one, two)]
+    found = [next(x for x in lines if x.quantity == "detuning_percent").value for lines in (one, two)]
     assert found[1] == pytest.approx(found[0], rel=0.05)
 
 

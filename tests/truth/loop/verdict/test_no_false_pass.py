@@ -49,7 +49,7 @@ def test_a_gain_reduction_margin_whose_crossing_lies_at_0_hz_is_seen(relative):
     wish = ls.Requirements("x", gain_reduction_margin_db=10.0, integrators=0, unstable_poles=1)
     verdict = check([frf], LEAD, wish)
     found = line_of(verdict, "gain_reduction_margin_db")
-    assert found.found == pytest.approx(truth_db, abs=0.1)
+    assert found.value == pytest.approx(truth_db, abs=0.1)
     low, high = found.interval
     assert low <= truth_db <= high
     assert (found.outcome, verdict.margins["one"].stable) == ("failed", "stable")
@@ -101,7 +101,7 @@ def test_a_gain_margin_beyond_the_last_line_is_a_bound_and_not_an_estimate():
     wish = ls.Requirements("x", gain_margin_db=truth_db - 1.0, integrators=1, unstable_poles=0)
     found = line_of(check([frf], GAIN, wish), "gain_margin_db")
     assert found.outcome == "undecided"
-    assert found.found < truth_db < found.bound
+    assert found.value < truth_db < found.bound
     assert 28.0 < found.measure_to_hz < 400.0
     longer = measured(falling, np.geomspace(0.2, found.measure_to_hz, 400), 1e-3)
     assert line_of(check([longer], GAIN, wish), "gain_margin_db").outcome == "passed"
@@ -114,7 +114,7 @@ def test_a_peak_of_s_that_only_the_unseen_rest_could_reach_is_a_bound():
     wish = ls.Requirements("x", sensitivity_peak_db=truth_db + 0.5, integrators=1, unstable_poles=0)
     found = line_of(check([frf], GAIN, wish), "sensitivity_peak_db")
     assert found.outcome == "undecided"
-    assert found.bound < truth_db < found.found
+    assert found.bound < truth_db < found.value
     strict = ls.Requirements("x", sensitivity_peak_db=0.01, integrators=1, unstable_poles=0)
     assert line_of(check([frf], GAIN, strict), "sensitivity_peak_db").outcome == "failed"
 
