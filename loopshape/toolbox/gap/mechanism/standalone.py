@@ -89,7 +89,7 @@ def _force(port: Port, n: Mapping[str, float]) -> str:
     if bent := n.get("bristle", 0.0) > 0.0 and n.get("coulomb", 0.0) > 0.0:
         lines.append(_BRISTLES)
     coupled = n.get("inertia", 0.0) > 0.0
-    if any(n.get(key) for key in ("coulomb", "load", "driven_back")):
+    if any(n.get(key) for key in ("coulomb", "load", "driven_back", "load_square")):
         parts += [kernel.level, kernel.friction]
         terms.append(f"-friction(speed, {'bend' if bent else '0.0'}, {'through' if coupled else 'command'})")
     if n.get("viscous") or n.get("stiffness") or n.get("offset"):

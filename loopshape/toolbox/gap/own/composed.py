@@ -205,7 +205,7 @@ _UNITS = {
     "viscous": "{e} s/{q}", "coulomb": "{e}", "coulomb_speed": "{q}/s", "bristle": "{q}", "stribeck_speed": "{q}/s",
     "stiffness": "{e}/{q}", "hardening": "1/{q}2", "rest": "{q}", "offset": "{e}", "coupling": "{e}/{q}",
     "coupling_damping": "{e} s/{q}", "play": "{q}", "inertia": "{e} s2/{q}", "viscous_speed": "{q}/s",
-    "coupling_hardening": "1/{q}2", "motor_damping": "{e} s/{q}",
+    "coupling_hardening": "1/{q}2", "motor_damping": "{e} s/{q}", "load_square": "1/{e}",
 }  # fmt: skip
 
 

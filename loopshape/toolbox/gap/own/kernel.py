@@ -25,13 +25,13 @@ FIELDS = (
     "viscous", "coulomb", "coulomb_speed", "bristle", "stribeck", "stribeck_speed", "stiffness", "hardening", "rest",
     "offset", "coupling", "coupling_damping", "play", "inertia",
     "viscous_speed", "viscous_power", "asymmetry", "coupling_hardening", "motor_damping", "viscous_square",
-    "load", "driven_back",
+    "load", "driven_back", "load_stribeck", "load_square",
 )  # fmt: skip
 (
     VISCOUS, COULOMB, COULOMB_SPEED, BRISTLES, STRIBECK, STRIBECK_SPEED, STIFFNESS, HARDENING, REST,
     OFFSET, COUPLING, COUPLING_DAMPING, PLAY, INERTIA,
     VISCOUS_SPEED, VISCOUS_POWER, ASYMMETRY, COUPLING_HARDENING, MOTOR_DAMPING, VISCOUS_SQUARE,
-    LOAD, DRIVEN_BACK,
+    LOAD, DRIVEN_BACK, LOAD_STRIBECK, LOAD_SQUARE,
 ) = range(len(FIELDS))  # fmt: skip
 #: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
 DRIVEN, POSITION, SPEED = 0, 1, 2
@@ -54,17 +54,20 @@ def level(f: Array, j: int, v: float) -> float:
 def friction(f: Array, j: int, v: float, z: float, u: float) -> float:
     """Force of dry friction against a speed v, of bristles by their deflection z.
 
-    Without bristles it takes a share of the force u that the joint transmits too, a larger one where that is against v
-    (Duclusaud 2024, arXiv 2410.08650, has motor and load torques apart: in slow motion this share is some twice the K_l
-    of its M3). Misleading where u is a command that does not pass a gear.
+    Without bristles it takes a share of the force u that the joint transmits too, a larger one at break-away, where u is
+    against v, or in proportion to u (Duclusaud 2024, arXiv 2410.08650, M4 to M6, has motor and load torques apart: in
+    slow motion this share is some twice the K_l of its M3). Misleading where u is a command that does not pass a gear.
     """
-    if f[j, COULOMB] == 0.0 and f[j, LOAD] == 0.0 and f[j, DRIVEN_BACK] == 0.0:
+    if f[j, COULOMB] == 0.0 and f[j, LOAD] == 0.0 and f[j, DRIVEN_BACK] == 0.0 and f[j, LOAD_SQUARE] == 0.0:
         return 0.0
     if f[j, BRISTLES] > 0.0:
         return f[j, COULOMB] * z / f[j, BRISTLES]
     most = level(f, j, v)
-    if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0:
-        most += (f[j, LOAD] + f[j, DRIVEN_BACK] * (u * v < 0.0)) * abs(u)
+    if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0 or f[j, LOAD_SQUARE] != 0.0:
+        share = f[j, LOAD] + f[j, DRIVEN_BACK] * (u * v < 0.0) + f[j, LOAD_SQUARE] * abs(u)
+        if f[j, LOAD_STRIBECK] != 0.0:
+            share += f[j, LOAD] * f[j, LOAD_STRIBECK] * np.exp(-((v / f[j, STRIBECK_SPEED]) ** 2))
+        most += share * abs(u)
     return most * np.tanh(v / f[j, COULOMB_SPEED])
 
 
