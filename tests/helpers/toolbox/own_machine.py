@@ -48,8 +48,8 @@ def reference(k, t):
     return np.sum(parts, axis=0) + 0.3 * np.sin(2 * np.pi * 0.11 * t + k)
 
 
-def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, square=0.0, stuck=(0.0, 0.0), held=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0,
-             cogging=0.0, cogs=9.0, role="estimation"):  # fmt: skip
+def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, square=0.0, stuck=(0.0, 0.0), held=0.0,
+             inertia=INERTIA, delay_s=0.0, drag=0.0, cogging=0.0, cogs=9.0, role="estimation"):  # fmt: skip
     """One recording: the lever follows a reference, `held` rad off, under a PD law that sees the sensor.
 
     Friction takes a share `load` of the drum's torque, `driven_back` more where the load drives, and `square` of it for
