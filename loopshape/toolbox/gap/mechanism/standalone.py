@@ -103,7 +103,7 @@ def _force(port: Port, n: Mapping[str, float]) -> str:
         lines[0] = 'dt = max(t - state.get("t", t), 0.0)'
         lines.append('state["t"], state["speed"] = t, speed')
     body = [f"{ast.unparse(_Folded(n).visit(_tree(part)))}\n" for part in parts]
-    reads = "; a sensor of this position reads state['motor']" if coupled else ""
+    reads = "; sensors and a law of the actuator read state['motor'] and state['spin']" if coupled else ""
     title = (
         f"Force to add to {_plain(port.input)}, in {_plain(port.unit) or 'its unit'}, at {_plain(port.name)}{reads}."
     )
