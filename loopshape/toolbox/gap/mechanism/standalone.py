@@ -104,6 +104,7 @@ def _force(port: Port, n: Mapping[str, float]) -> str:
         lines.append('state["t"], state["speed"] = t, speed')
     body = [f"{ast.unparse(_Folded(n).visit(_tree(part)))}\n" for part in parts]
     reads = "; sensors and a law of the actuator read state['motor'] and state['spin']" if coupled else ""
+    reads += "; command is what the actuator gives" if port.input.endswith("_effort") else ""
     title = (
         f"Force to add to {_plain(port.input)}, in {_plain(port.unit) or 'its unit'}, at {_plain(port.name)}{reads}."
     )

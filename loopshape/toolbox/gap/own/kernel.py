@@ -129,7 +129,10 @@ def _derivative(motion, law, t, x, u, p, f, places, nx, drive, dx):  # type: ign
             dx[k + MOTOR] = 0.0
             dx[k + MOTOR_SPEED] = 0.0
         dx[k + BRISTLE] = 0.0
-        drive[a] -= friction(f, j, v, x[k + BRISTLE], drive[a]) + resisting(f, j, q, v)
+        load = drive[a]
+        if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0 or f[j, LOAD_SQUARE] != 0.0:
+            load += law(j, q, v, x, u, p)
+        drive[a] -= friction(f, j, v, x[k + BRISTLE], load) + resisting(f, j, q, v)
     moved = motion(t, x, drive, p)
     for i in range(nx):
         dx[i] = moved[i]

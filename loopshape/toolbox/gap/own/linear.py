@@ -30,7 +30,7 @@ COMBS, HELD_OUT, FEWEST = 8, 4, 24  # recordings an FRF and input, which of them
 SIZE, LARGER = 1e-3, 30.0  # rms of the first output, and times that at which the model has to be linear too
 BENT = 0.01  # share of a derivative that is not linear
 SURE, OCTAVES = 0.01, 0.5  # of |G|, or its mean to either side: an error below it weighs no more
-TICKS, FOLDED = 8.0, 5.0  # a period of the highest line, and of a line that can be followed at the fastest rate
+TICKS, FOLDED = 10.0, 6.0  # a period of the highest line, and of a line that can be followed at the fastest rate
 WINDOWS, BLOCKS = 9.5, (25.0, 40.0)  # of each recording; periods of the highest line in one
 #: kinds and numbers that only the size of a motion shows, or a constant
 _KINDS = ("coulomb_friction", "backlash", "actuator_saturation", "dead_zone", "force_offset", "sensor_offset")
@@ -118,6 +118,7 @@ def _drawn(c: Composed, model: Model, frf: FRF, seed: int, rate_hz: float) -> li
     places = [frf.outputs.index(o.column) for o in model.outputs]
     hold = hold_and_delay(f, rate_hz, 0.0)
     hold = hold / hold_and_delay(f, frf.rate_hz, 0.0) if frf.hold is Hold.INCLUDED else hold
+    ripple = (RIPPLE**2 + (f / (rate_hz - f)) ** 4)[:, None]  # also what a held input has above half the rate, of 1/s
     t = np.arange(round(max(WINDOWS * float(model.window_s or 0.0), 3.2) * rate_hz)) / rate_hz
     out = []
     for j, column in enumerate(frf.inputs):
@@ -138,7 +139,7 @@ def _drawn(c: Composed, model: Model, frf: FRF, seed: int, rate_hz: float) -> li
             columns = {str(i.column): np.zeros(t.size) for i in model.inputs if i.column}
             columns[column] = _signal(t, f, comb)
             columns |= {o.column: _signal(t, f, g[:, k] * hold * comb) for k, o in enumerate(model.outputs)}
-            errors = 0.5 * np.sum((variance + (RIPPLE * np.abs(g)) ** 2).T * np.abs(comb) ** 2, axis=1)
+            errors = 0.5 * np.sum((variance + ripple * np.abs(g) ** 2).T * np.abs(comb) ** 2, axis=1)
             out.append((Recording(info, rate_hz, columns), errors))
     return out
 

@@ -275,6 +275,36 @@ def test_a_servo_behind_a_spring_or_play_sees_the_rotor_as_mujoco_steps_it(kind)
         np.testing.assert_allclose(out[0, :, shoulder], theirs[:, 0], atol=0.03 * twist)
 
 
+def test_friction_of_a_servos_gear_grows_with_the_effort_that_its_law_gives():
+    xml = text(KINDS["position, clamped"])
+    model, rng = built(xml), np.random.default_rng(5)
+    c, at = Composed(model), "port.shoulder."
+    commands = np.repeat(np.column_stack([rng.uniform(-0.6, 0.6, 20), np.zeros(20)]), 20, axis=0)
+    m = mujoco.MjModel.from_xml_string(xml)
+    data, theirs = mujoco.MjData(m), []
+    shoulder = model.states.index("shoulder")
+    data.qpos[shoulder] = 0.1
+    for row in commands:
+        data.ctrl[:] = row
+        theirs.append(data.qpos[shoulder])
+        for _ in range(20):
+            mujoco.mj_forward(m, data)
+            dry = (0.05 + 0.3 * abs(data.qfrc_actuator[shoulder])) * np.tanh(data.qvel[shoulder] / 0.05)
+            data.qfrc_applied[shoulder] = -dry
+            mujoco.mj_step(m, data)
+    drive = np.array([driven(model, {"tried": row[0]}) for row in commands])
+    nx = len(model.states)
+    mine = []
+    for share in (0.3, 0.0):
+        x0, out = np.zeros((1, nx + 3 * len(model.ports))), np.empty((1, len(drive), nx))
+        x0[0, shoulder] = 0.1
+        f = c.forces({at + "coulomb": 0.05, at + "coulomb_speed": 0.05, at + "load": share})
+        c.run(x0, np.zeros(1, dtype=np.int64), drive, c.values({}), f, c.places, nx, 0.002, 20, out)
+        mine.append(out[0, :, shoulder])
+    effect = np.sqrt(np.mean((mine[1] - theirs) ** 2))
+    assert np.sqrt(np.mean((mine[0] - theirs) ** 2)) < 0.02 * effect
+
+
 @pytest.mark.parametrize("kind", ["motor", "position"])
 def test_dry_friction_of_a_joint_holds_and_slides_as_in_mujoco(kind):
     kinds = {"motor": "<motor", "position": '<position kp="12" kv="0.4"'}

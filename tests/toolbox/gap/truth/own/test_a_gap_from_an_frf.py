@@ -2,14 +2,17 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import loopshape as ls
 from loopshape.cli.main import run as command
 from loopshape.core.errors import WrongUseError
 from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
+from loopshape.toolbox.gap.own.linear import followable
 
 MOTOR, LOAD, DAMPING, SPRING = 0.006, 0.014, 0.05, 0.8
 
@@ -100,6 +103,38 @@ def test_a_healthy_machine_within_its_tolerances_has_no_gap():
 @pytest.mark.long
 def test_a_resonance_that_no_effect_makes_is_unknown():
     assert ls.gap(frf_of(absorber=0.008), model=MODEL).verdict == "unknown"
+
+
+@pytest.mark.parametrize("hold_hz", [0.0, 100.0])
+def test_a_recording_of_an_frf_is_what_the_machine_answers_to_its_input(hold_hz):
+    # two outputs in other units; the truth is the exact response of the matrices to the held input
+    frf = frf_of(std=1e-9, hold_hz=hold_hz)
+    s = 2j * np.pi * frf.frequency_hz
+    both = np.stack([frf.siso, 1e3 * s * frf.siso], axis=1)[:, :, None]
+    hold = {"rate_hz": hold_hz, "hold": "included"} if hold_hz else {}
+    frf = ls.FRF.from_arrays(
+        frf.frequency_hz, both, relative_std=0.02, inputs=("torque_nm",), outputs=("lever_rad", "speed_mrad_s"), **hold
+    )
+    outputs = (*MODEL.outputs, Output("speed", "speed", "speed_mrad_s", 1e-3, "rad/s"))
+    plant, run = followable(replace(MODEL, outputs=outputs), [frf])
+    inertia, damping, spring = 1.01 * (MOTOR + LOAD), 1.04 * DAMPING, 0.985 * SPRING
+    whole = expm(np.array([[0, 1, 0], [-spring / inertia, -damping / inertia, 1 / inertia], [0, 0, 0]]) / run.rate_hz)
+    for r in run.recordings[:2]:
+        u, x, y = r.column("torque_nm"), np.zeros(2), []
+        for held in u:
+            y.append(x)
+            x = whole[:2, :2] @ x + whole[:2, 2] * held
+        late = slice(u.size // 2, None)  # the start is forgotten
+        for column, mine in zip(("lever_rad", "speed_mrad_s"), (np.array(y) * [1.0, 1e3]).T, strict=True):
+            off = np.sqrt(np.mean((r.column(column) - mine)[late] ** 2)) / np.std(mine[late])
+            assert off < 0.01
+    assert [o.leaves for o in plant.model.outputs] == pytest.approx(
+        [
+            0.02 * np.sqrt(np.mean(r.column(o.column) ** 2)) * o.factor
+            for o, r in zip(outputs, run.recordings, strict=False)
+        ],
+        rel=0.3,
+    )
 
 
 def with_friction(t, x, u, p):
