@@ -18,8 +18,7 @@ from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, GapReport
-from loopshape.toolbox.gap.pictures.missing import missing
-from loopshape.toolbox.gap.pictures.report import gap_figure, sizes
+from loopshape.toolbox.gap.pictures.report import gap_figure, missing, sizes
 from loopshape.toolbox.learning.picture import feedforward_page
 from loopshape.toolbox.learning.verbs import setpoint_of
 from loopshape.toolbox.planning.tone.pictures import tones_page

@@ -105,7 +105,7 @@ def read_run_words(folder: Path) -> ConfigTable:
         if any((folder / "frf").glob("*.npz")):
             raise UnreadableInputError(
                 "a run has recordings, and this folder holds FRFs alone, of import-frf", folder.resolve().name,
-                "fit, tune, check, figures and compare (with another one) take it as it is; gap and ls.read need"
+                "fit, tune, check, figures, compare (with another one) and gap --model take it as it is; ls.read needs"
                 " recordings (loopshape import), and"
                 " ls.formats.read_frf reads the file that it was made from",
             )  # fmt: skip

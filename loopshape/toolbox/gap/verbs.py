@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from loopshape.core.errors import WrongUseError
+from loopshape.data.response.frf import FRF
 from loopshape.data.signal.run import Run
 from loopshape.verbs.files import read
 
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def gap(
-    run: Run | str | Path,
+    run: Run | FRF | Sequence[FRF] | str | Path,
     *,
     model: Model | str | Path | None = None,
     baseline: Run | str | Path | None = None,
@@ -36,19 +37,26 @@ def gap(
     `baseline` is a run of the same machine known to be good, moved as in the run: what a model of your own leaves there
     within a window is the floor of every output that states none (`leaves` of `Output`), and no effect is named for it.
 
+    FRFs, or a folder of import-frf, take the place of a run where the `model` is linear: every fourth of eight combs of
+    lines is held out, the floor is the FRF's own error, and effects that no FRF shows are not looked for (notes).
+
     Raises WrongUseError for a run without a plant, for a model whose columns are mapped with a wrong sign, unit or
     zero, and for a baseline of other columns or another rate. A file of the model that changes meanwhile is told in the
     notes: the answer is of the model as it was read.
     """
     from loopshape.io.input_guard import changed, read_once
     from loopshape.toolbox.gap.diagnose.diagnose import diagnose
+    from loopshape.toolbox.gap.nouns.gap_report import FloorSource
+    from loopshape.toolbox.gap.own.linear import NOTE, LinearMachine
 
-    whole = run if isinstance(run, Run) else read(run)
     good = baseline if isinstance(baseline, Run) or baseline is None else read(baseline)
     with read_once() as files:
-        plant, with_files = _followable(whole, model)
-    label = name or ("run" if isinstance(run, Run) else Path(run).name)
+        plant, whole, with_files = _followable(run, model)
+    label = name or (Path(run).name if isinstance(run, str | Path) else "run")
     found = diagnose(plant, whole, label, baseline=good, table=table, say=say)
+    if isinstance(plant, LinearMachine):
+        floors = tuple(replace(floor, source=FloorSource.FRF) for floor in found.floors)
+        found = replace(found, floors=floors, proposal=None, notes=[*found.notes, NOTE])
     if later := [Path(path).name for path in changed(files)]:
         note = f"{', '.join(later)} changed meanwhile: the answer is of the model as it was read at the start"
         found = replace(found, notes=[*found.notes, note])
@@ -56,7 +64,7 @@ def gap(
 
 
 def identifiability(
-    run: Run | str | Path,
+    run: Run | FRF | Sequence[FRF] | str | Path,
     *,
     model: Model | str | Path | None = None,
     say: Callable[[str], None] = lambda step: None,
@@ -82,30 +90,51 @@ def identifiability(
     """
     from loopshape.toolbox.gap.diagnose import identifiability as found
 
-    whole = run if isinstance(run, Run) else read(run)
-    plant, _ = _followable(whole, model)
+    plant, whole, _ = _followable(run, model)
     return found.identifiability(plant, whole, say=say)
 
 
-def _followable(run: Run, model: Model | str | Path | None) -> tuple[Followable, Callable[[Fix], Fix]]:
-    """The user's machine, or the plant that the run names; and what puts a fix of it into files."""
+def _measured(run: Run | FRF | Sequence[FRF] | str | Path) -> Run | tuple[FRF, ...]:
+    """A run, or the FRFs that were given in its place or stand alone in a folder."""
+    from loopshape.io.run.run_folder import has_run
+    from loopshape.io.write.frfs import FOLDER, has_any, read_frfs
+
+    if isinstance(run, Run):
+        return run
+    if isinstance(run, str | Path):
+        alone = not has_run(Path(run)) and has_any(Path(run), FOLDER)
+        return read_frfs(Path(run)) if alone else read(run)
+    return (run,) if isinstance(run, FRF) else tuple(run)
+
+
+def _followable(
+    given: Run | FRF | Sequence[FRF] | str | Path, model: Model | str | Path | None
+) -> tuple[Followable, Run, Callable[[Fix], Fix]]:
+    """The user's machine, or the plant that the run names; the run; and what puts a fix of it into files."""
     from loopshape.toolbox.gap.mechanism.fix import in_files
     from loopshape.toolbox.gap.mechanism.mechanism import machine
     from loopshape.toolbox.gap.mechanism.mockup import machine_of
     from loopshape.toolbox.gap.nouns.machine import Mechanism, Unit
     from loopshape.toolbox.gap.own.file import read_model
     from loopshape.toolbox.gap.own.kinds import with_kinds
+    from loopshape.toolbox.gap.own.linear import followable
     from loopshape.toolbox.gap.own.plant import OwnMachine
     from loopshape.toolbox.rig.registry import diagnosable
 
+    run = _measured(given)
     if model is not None:
         own = read_model(Path(model)) if isinstance(model, str | Path) else model
-        kinds = own.kinds
+        kinds = own.kinds if isinstance(run, Run) else ()  # nobody knows whether a user's own kind is linear
         if isinstance(own, Unit):
             own = machine_of(own)
         mechanism = own if isinstance(own, Mechanism) else None
         whole = with_kinds(machine(own) if isinstance(own, Mechanism) else own, kinds)
-        return OwnMachine(whole), lambda fix: in_files(fix, whole, mechanism)
+        plant, run = (OwnMachine(whole), run) if isinstance(run, Run) else followable(whole, run)
+        return plant, run, lambda fix: in_files(fix, whole, mechanism)
+    if not isinstance(run, Run):
+        raise WrongUseError(
+            "FRFs are compared with a linear model of your own", "FRFs without a model", "give it: --model model.toml"
+        )
     if run.plant is None:
         raise WrongUseError(
             "the run names no plant, so there is no model to compare with",
@@ -113,4 +142,4 @@ def _followable(run: Run, model: Model | str | Path | None) -> tuple[Followable,
             "name one (plant = ...), give a model of your own (--model model.toml), "
             "or a second run: loopshape gap RUN_REAL RUN_SIM",
         )
-    return diagnosable(run.plant), lambda fix: fix
+    return diagnosable(run.plant), run, lambda fix: fix

@@ -47,11 +47,12 @@ def reference(k, t):
     return np.sum(parts, axis=0) + 0.3 * np.sin(2 * np.pi * 0.11 * t + k)
 
 
-def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, held=0.0, inertia=INERTIA, delay_s=0.0, drag=0.0,
-             cogging=0.0, cogs=9.0, role="estimation"):  # fmt: skip
+def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, square=0.0, stuck=(0.0, 0.0), held=0.0,
+             inertia=INERTIA, delay_s=0.0, drag=0.0, cogging=0.0, cogs=9.0, role="estimation"):  # fmt: skip
     """One recording: the lever follows a reference, `held` rad off, under a PD law that sees the sensor.
 
-    Friction takes a share `load` of the drum's torque, and `driven_back` more where the load drives.
+    Friction takes a share `load` of the drum's torque, `driven_back` more where the load drives, and `square` of it for
+    each N m; below 0.3 rad/s dry friction and that share are higher by the shares `stuck`.
     """
     n, rng = round(SECONDS * RATE_HZ), np.random.default_rng(100 + k)
     t = np.arange(n) / RATE_HZ
@@ -60,8 +61,11 @@ def recorded(k, *, coulomb=0.0, load=0.0, driven_back=0.0, held=0.0, inertia=INE
     state, true, read, torque = np.zeros(2), np.zeros(n), np.zeros(n), np.zeros(n)
 
     def slope(_, x, u):
-        taken = load + driven_back if u * x[1] < 0.0 else load
-        dry = (coulomb + taken * abs(u)) * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[1] * abs(x[1]) ** 1.5
+        slow = 1.0 / (1.0 + (x[1] / 0.3) ** 4)
+        taken = load * (1.0 + stuck[1] * slow) + square * abs(u) + (driven_back if u * x[1] < 0.0 else 0.0)
+        dry = (coulomb * (1.0 + stuck[0] * slow) + taken * abs(u)) * 2 / np.pi * np.arctan(x[1] / 0.004) + drag * x[
+            1
+        ] * abs(x[1]) ** 1.5
         dry += cogging * np.sin(cogs * x[0])
         own = u - 1.04 * DAMPING * x[1] - 0.985 * SPRING * x[0] - 1.01 * WEIGHT * np.sin(x[0])
         return [x[1], (own - dry) / (1.01 * inertia)]

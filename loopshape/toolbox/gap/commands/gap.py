@@ -102,14 +102,12 @@ def diagnose_run(
 
     Nothing is computed where a file cannot be what was asked for, and nothing is written where a run is refused.
     """
-    from loopshape.io.run.run_folder import read_run
     from loopshape.toolbox.gap.commands.gap_two_runs import check_files
     from loopshape.toolbox.gap.verbs import gap as run_gap
 
     check_files(save_answer, report, next_study)
-    run = read_run(folder)
     with output.progress("gap", 9) as step:
-        found = run_gap(run, model=model, baseline=baseline, table=not quick, name=folder.name, say=step)
+        found = run_gap(folder, model=model, baseline=baseline, table=not quick, name=folder.name, say=step)
     _headline(found, output)
     if details:
         show(found, output)
@@ -203,7 +201,11 @@ _WITH = {
 
 
 #: where a floor comes from, if it is not estimated
-_SOURCES = {"leaves": "as stated (leaves)", "baseline": "what the model leaves of the baseline"}
+_SOURCES = {
+    "leaves": "as stated (leaves)",
+    "baseline": "what the model leaves of the baseline",
+    "frf": "the FRF's error",
+}
 
 
 def _floor_words(floor: Floor) -> str:

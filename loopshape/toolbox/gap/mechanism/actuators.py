@@ -187,11 +187,15 @@ class Actuators:
         return [a.name for a in self.all if a.is_direct and a.joint == joint] or [self._idle[joint]]
 
     def ports(self) -> tuple[Port, ...]:
-        """One a joint: a coupling between motor and link where motors with a rotor, and nothing else, drive it."""
+        """One a joint: a coupling between motor and link where actuators with a rotor drive it.
+
+        Not beside a motor whose effort is an input of its own, nor where a firmware integrates the error: at the load.
+        """
         out = []
         for joint in self.numbers.joints:
-            drives = [a.is_direct for a in self.all if a.joint == joint]
-            rotor = first(self.numbers.nominal.joint(joint).armature) > 0.0 and bool(drives) and all(drives)
+            drives = {a.is_direct for a in self.all if a.joint == joint and a.dynamics is not Dynamics.ERROR}
+            alike = len(drives) == 1 and all(a.dynamics is not Dynamics.ERROR for a in self.all if a.joint == joint)
+            rotor = first(self.numbers.nominal.joint(joint).armature) > 0.0 and alike
             inertia, damping = (f"{ARMATURE}_{joint}", f"{DAMPING}_{joint}") if rotor else (None, None)
             unit = self.numbers.unit(joint)[1]
             out.append(Port(joint, self.acting(joint)[0], joint, joint + SPEED, inertia, unit, damping))
@@ -199,19 +203,32 @@ class Actuators:
 
     def written(self, n: Mapping[str, Any], tape: Tape) -> tuple[Row, Row]:
         """Effort at each joint, and the derivative of each actuator's state, as terms of states and inputs."""
-        names, joints = [i.name for i in self.inputs()], self.numbers.joints
-        u = {name: tape.name(f"u[{k}]") for k, name in enumerate(names)}
+        joints, (u, state) = self.numbers.joints, self._known(tape)
         q, v = ({j: tape.name(f"x[{k + first}]") for k, j in enumerate(joints)} for first in (0, len(joints)))
-        state = {name: tape.name(f"x[{2 * len(joints) + k}]") for k, name in enumerate(self.states)}
-        efforts: Row = []
-        for k, joint in enumerate(joints):
-            own = [self._effort(a, n, (q[joint], v[joint]), u[a.name], state.get(a.name), tape)
-                   for a in self.servos if a.joint == joint]  # fmt: skip
-            if own and self.numbers.nominal.jnt_actfrclimited[k]:
-                own = [_clamped(tape, sum(own, 0.0), *n["together"][k])]
-            efforts.append(sum([*(u[name] for name in self.acting(joint)), *own], 0.0))
+        efforts: Row = [
+            sum([*(u[name] for name in self.acting(j)), self._law(j, n, (q[j], v[j]), tape)], 0.0) for j in joints
+        ]
         stated = [a for a in self.servos if a.name in state]
         return efforts, [_rate(a, n, q[a.joint], u[a.name], state[a.name], tape) for a in stated]
+
+    def laws(self, n: Mapping[str, Any], tape: Tape) -> dict[int, Scalar]:
+        """Effort that laws give at each joint that they drive, at a position q and a speed v."""
+        at, driven = (tape.name("q"), tape.name("v")), {a.joint for a in self.servos}
+        return {k: self._law(j, n, at, tape) for k, j in enumerate(self.numbers.joints) if j in driven}
+
+    def _known(self, tape: Tape) -> tuple[dict[str, Scalar], dict[str, Scalar]]:
+        """Inputs, and states of actuators, by name."""
+        first = 2 * len(self.numbers.joints)
+        u = {i.name: tape.name(f"u[{k}]") for k, i in enumerate(self.inputs())}
+        return u, {name: tape.name(f"x[{first + k}]") for k, name in enumerate(self.states)}
+
+    def _law(self, joint: str, n: Mapping[str, Any], at: tuple[Scalar, Scalar], tape: Tape) -> Scalar:
+        """Effort of the actuators at a joint whose command is none."""
+        (u, state), k = self._known(tape), self.numbers.joints.index(joint)
+        own = [self._effort(a, n, at, u[a.name], state.get(a.name), tape) for a in self.servos if a.joint == joint]
+        if own and self.numbers.nominal.jnt_actfrclimited[k]:
+            return _clamped(tape, sum(own, 0.0), *n["together"][k])
+        return sum(own, 0.0)
 
     def _effort(
         self, a: Actuator, n: Mapping[str, Any], at: tuple[Scalar, Scalar], command: Scalar, state: Scalar, tape: Tape

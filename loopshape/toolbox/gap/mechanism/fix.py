@@ -347,7 +347,8 @@ def _limited(spec: Any, name: str, n: Mapping[str, float]) -> None:
 
 _EDITS = (
     _Edit(PORT, "viscous", _damped, ("viscous_speed", "viscous_square"), ("viscous_power", "inertia")),
-    _Edit(PORT, "coulomb", _rubbed, (), ("stribeck", "asymmetry", "load", "driven_back", "inertia"),
+    _Edit(PORT, "coulomb", _rubbed, (),
+          ("stribeck", "asymmetry", "load", "driven_back", "load_stribeck", "load_square", "inertia"),
           ("coulomb_speed", "bristle")),
     _Edit(PORT, "stiffness", _stiffened, ("rest", "hardening"), ("inertia",)),
     _Edit(PORT, "offset", _shifted, (), ("inertia",)),

@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import namedtuple
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -33,7 +34,7 @@ from loopshape.toolbox.gap.mechanism.numbers import (
     first,
 )  # fmt: skip
 from loopshape.toolbox.gap.mechanism.tracing import Tape, filled
-from loopshape.toolbox.gap.mechanism.tree import chained, source
+from loopshape.toolbox.gap.mechanism.tree import chained, laws, source
 from loopshape.toolbox.gap.nouns.machine import Mechanism, Model, ModelParameter, Output
 
 STATES, SEED, NEAR = 5, 3, 1e-7  # states at which MuJoCo is asked as well, and how far off the equations may be
@@ -67,13 +68,13 @@ class _Built:
         self._is_tree()
         self._names()
         parameters = self._parameters()
-        fields, motion = self._equations(parameters)
+        fields, motion, law = self._equations(parameters)
         derived = _Derived(self.numbers, tuple(p.name for p in parameters), fields)
         joints = self.numbers.joints
         out = Model(
             self.of.name, motion, (*joints, *(j + SPEED for j in joints), *self.actuators.states.values()), parameters,
             self.actuators.inputs(), self._outputs(), self.actuators.ports(), self.of.window_s, self.of.without,
-            derived, matters=self.of.matters,
+            derived, matters=self.of.matters, law=law,
         )  # fmt: skip
         self._agrees(out)
         return out
@@ -155,8 +156,8 @@ class _Built:
     def _spread(self, kind: str, name: str) -> float:
         return self.of.spread.get(kind, {}).get(name, 0.0)
 
-    def _equations(self, parameters: tuple[ModelParameter, ...]) -> tuple[tuple[tuple[str, int], ...], Any]:
-        """Which numbers depend on parameters (name, place), and the compiled-to-be right-hand side."""
+    def _equations(self, parameters: tuple[ModelParameter, ...]) -> tuple[tuple[tuple[str, int], ...], Any, Any]:
+        """Which numbers depend on parameters (name, place), the compiled-to-be right-hand side, laws of actuators."""
         base = {p.name: p.value for p in parameters}
         nominal = self.numbers.at(base)
         varies = {name: np.zeros(np.size(value), dtype=bool) for name, value in nominal.items()}
@@ -166,14 +167,14 @@ class _Built:
             for name, value in other.items():
                 varies[name] |= np.abs(np.ravel(value) - np.ravel(nominal[name])) > 1e-12
         fields = tuple((name, int(k)) for name, which in varies.items() for k in np.flatnonzero(which))
-        tape = Tape()
-        known = {field: tape.name(f"p.{_field(field)}") for field in fields}
-        shaped = {name: filled(name, value, known) for name, value in nominal.items()}
+        (tape, shaped), (aside, alike) = (_written(nominal, fields) for _ in range(2))
         links = chained(self.nominal, shaped, self.numbers.creep)
         text = source(links, shaped["gravity"], *self.actuators.written(shaped, tape), tape)
+        within = self.actuators.laws(alike, aside)
+        text += laws(within, aside)
         space: dict[str, Any] = {"math": math}
         exec(compile(text, f"<equations of {self.of.name}>", "exec"), space)  # the project's own text, made of numbers
-        return fields, space["motion"]
+        return fields, space["motion"], space["law"] if within else None
 
     def _outputs(self) -> tuple[Output, ...]:
         """Sensors, or joints, that have a column; refuses those that read no position or speed of a joint."""
@@ -261,6 +262,13 @@ class _Built:
     def _geom(self, k: int) -> str:
         found = self.nominal.geom(k)
         return found.name or f"{k} of body {self.nominal.body(int(found.bodyid[0])).name}"
+
+
+def _written(nominal: Mapping[str, Any], fields: Sequence[tuple[str, int]]) -> tuple[Tape, dict[str, Any]]:
+    """A tape, and the numbers on it, those that vary by name."""
+    tape = Tape()
+    known = {field: tape.name(f"p.{_field(field)}") for field in fields}
+    return tape, {name: filled(name, value, known) for name, value in nominal.items()}
 
 
 class _Derived:

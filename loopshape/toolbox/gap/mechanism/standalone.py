@@ -89,7 +89,7 @@ def _force(port: Port, n: Mapping[str, float]) -> str:
     if bent := n.get("bristle", 0.0) > 0.0 and n.get("coulomb", 0.0) > 0.0:
         lines.append(_BRISTLES)
     coupled = n.get("inertia", 0.0) > 0.0
-    if any(n.get(key) for key in ("coulomb", "load", "driven_back")):
+    if any(n.get(key) for key in ("coulomb", "load", "driven_back", "load_square")):
         parts += [kernel.level, kernel.friction]
         terms.append(f"-friction(speed, {'bend' if bent else '0.0'}, {'through' if coupled else 'command'})")
     if n.get("viscous") or n.get("stiffness") or n.get("offset"):
@@ -103,7 +103,8 @@ def _force(port: Port, n: Mapping[str, float]) -> str:
         lines[0] = 'dt = max(t - state.get("t", t), 0.0)'
         lines.append('state["t"], state["speed"] = t, speed')
     body = [f"{ast.unparse(_Folded(n).visit(_tree(part)))}\n" for part in parts]
-    reads = "; a sensor of this position reads state['motor']" if coupled else ""
+    reads = "; sensors and a law of the actuator read state['motor'] and state['spin']" if coupled else ""
+    reads += "; command is what the actuator gives" if port.input.endswith("_effort") else ""
     title = (
         f"Force to add to {_plain(port.input)}, in {_plain(port.unit) or 'its unit'}, at {_plain(port.name)}{reads}."
     )

@@ -122,6 +122,12 @@ def source(links: Sequence[Link], gravity: Sequence[Scalar], efforts: Row, rates
     return "\n    ".join(["def motion(t, x, u, p):", *tape.lines, f"return ({returned},)\n"])
 
 
+def laws(efforts: Mapping[int, Scalar], tape: Tape) -> str:
+    """Source of `law(j, q, v, x, u, p)`: efforts that actuators give at joint j, 0 where there is none."""
+    each = [f"if j == {j}:\n        return {getattr(value, 'text', repr(value))}" for j, value in efforts.items()]
+    return "\n    ".join(["def law(j, q, v, x, u, p):", *tape.lines, *each, "return 0.0\n"])
+
+
 def _dry(joint: Joint, speed: Scalar, tape: Tape) -> Scalar:
     """Dry friction against the speed, smooth about 0."""
     if not isinstance(joint.dry, Term) and joint.dry == 0.0:

@@ -182,11 +182,12 @@ class BudgetStep:
 
 
 class FloorSource(StrEnum):
-    """Where a floor comes from: noise and a share of the motion, what the user says, or a machine known to be good."""
+    """Where a floor comes from: noise and a share of the motion, the user, a good machine, or the error of FRFs."""
 
     ESTIMATED = "estimated"
     STATED = "leaves"
     BASELINE = "baseline"
+    FRF = "frf"
 
 
 @dataclass(frozen=True)

@@ -157,8 +157,9 @@ class Model:
     `window_s` is how long the simulation is left to itself before it is set to the recording again; None where the
     recordings are to tell. `without` names kinds of effects that this machine cannot have. `derived` makes of the
     parameters' values, in order, what `motion` gets as p; without it p has the parameters by name. `kinds` are effects
-    of the user's own. `matters` is the share of the motion within a window that an effect has to move, or it is no
-    answer.
+    of the user's own. `law(j, q, v, x, u, p)` is the effort that an actuator's law within `motion` gives at port j, at
+    a position and speed: what a coupling there moves to the motor. `matters` is the share of the motion within a window
+    that an effect has to move, or it is no answer.
     """
 
     name: str
@@ -173,6 +174,7 @@ class Model:
     derived: Callable[[tuple[float, ...]], Any] | None = None
     kinds: tuple[Kind, ...] = ()
     matters: float = MATTERS
+    law: Callable[..., Any] | None = None
 
     def __post_init__(self) -> None:
         for name in ("states", "parameters", "inputs", "outputs", "ports", "without"):

@@ -137,13 +137,19 @@ def _dry(p: Port, s: Scales) -> Iterator[EffectForm]:
     yield _form(kind, p.name, "of each direction", p.unit, (level, slow, bias))
     yield _form(kind, p.name, "bristles, higher at break-away, of each direction", p.unit,
                 (level, bend, share, fall, bias), source="Canudas de Wit 1995")  # fmt: skip
-    if s.command[p.input][0] > 0.0:
+    if (most := s.command[p.input][0]) > 0.0:
         load, back = Free(f"{at}.load", 0.0, 1.0, (0.1,)), Free(f"{at}.driven_back", 0.0, 1.0, (0.1,))
         soft = replace(slow, starts=(0.03 * x.speed,))  # fits that start sharper stay in local minima
         yield _form(kind, p.name, "grows with the load", p.unit, (level, soft, load), source="Duclusaud 2024, M3",
                     extends=kind)  # fmt: skip
         yield _form(kind, p.name, "grows with the load, more when driven back", p.unit, (level, soft, load, back),
                     source="after Duclusaud 2024, M5", extends=kind)  # fmt: skip
+        stuck = Free(f"{at}.load_stribeck", 0.0, 5.0, (0.5,))
+        square = Free(f"{at}.load_square", 0.0, 1.0 / most, (0.1 / most,))
+        yield _form(kind, p.name, "grows with the load, either higher at break-away", p.unit,
+                    (level, soft, load, share, fall, stuck), source="Duclusaud 2024, M4", extends=kind)  # fmt: skip
+        yield _form(kind, p.name, "grows with the load and its square, more when driven back", p.unit,
+                    (level, soft, load, back, square), source="after Duclusaud 2024, M6", extends=kind)  # fmt: skip
 
 
 def _port(p: Port, s: Scales) -> Iterator[EffectForm]:

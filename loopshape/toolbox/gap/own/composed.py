@@ -47,6 +47,11 @@ class Composed:
             self._tried(motion)
         return motion
 
+    @cached_property
+    def law(self) -> Any:
+        """Efforts of actuators' laws within the motion, compiled."""
+        return kernel.no_law if self.model.law is None else kernel.compiled(self.model.law)
+
     @property
     def is_compiled(self) -> bool:
         """Whether numba took the right-hand side; if not, all takes some hundred times as long."""
@@ -71,11 +76,11 @@ class Composed:
     def run(self) -> Any:
         """The kernel with the motion in it; plain where the motion is."""
         whole = kernel.windows if self.is_compiled else getattr(kernel.windows, "py_func", kernel.windows)
-        motion = self.motion
+        motion, law = self.motion, self.law
 
         def run(*arguments: Any) -> None:
             with np.errstate(all="ignore"):  # a wrong hypothesis may run away; that is no crash
-                whole(motion, *arguments)
+                whole(motion, law, *arguments)
 
         return run
 
@@ -86,7 +91,7 @@ class Composed:
     def of(self, model: Model) -> Composed:
         """Another model of the same right-hand side and parameters, which is not compiled anew."""
         other = Composed(model)
-        other.__dict__.update(motion=self.motion, _tuple=self._tuple)
+        other.__dict__.update(motion=self.motion, law=self.law, _tuple=self._tuple)
         return other
 
     def values(self, m: Mapping[str, float], constants: Mapping[str, float] | None = None) -> Any:
@@ -205,7 +210,7 @@ _UNITS = {
     "viscous": "{e} s/{q}", "coulomb": "{e}", "coulomb_speed": "{q}/s", "bristle": "{q}", "stribeck_speed": "{q}/s",
     "stiffness": "{e}/{q}", "hardening": "1/{q}2", "rest": "{q}", "offset": "{e}", "coupling": "{e}/{q}",
     "coupling_damping": "{e} s/{q}", "play": "{q}", "inertia": "{e} s2/{q}", "viscous_speed": "{q}/s",
-    "coupling_hardening": "1/{q}2", "motor_damping": "{e} s/{q}",
+    "coupling_hardening": "1/{q}2", "motor_damping": "{e} s/{q}", "load_square": "1/{e}",
 }  # fmt: skip
 
 

@@ -25,13 +25,13 @@ FIELDS = (
     "viscous", "coulomb", "coulomb_speed", "bristle", "stribeck", "stribeck_speed", "stiffness", "hardening", "rest",
     "offset", "coupling", "coupling_damping", "play", "inertia",
     "viscous_speed", "viscous_power", "asymmetry", "coupling_hardening", "motor_damping", "viscous_square",
-    "load", "driven_back",
+    "load", "driven_back", "load_stribeck", "load_square",
 )  # fmt: skip
 (
     VISCOUS, COULOMB, COULOMB_SPEED, BRISTLES, STRIBECK, STRIBECK_SPEED, STIFFNESS, HARDENING, REST,
     OFFSET, COUPLING, COUPLING_DAMPING, PLAY, INERTIA,
     VISCOUS_SPEED, VISCOUS_POWER, ASYMMETRY, COUPLING_HARDENING, MOTOR_DAMPING, VISCOUS_SQUARE,
-    LOAD, DRIVEN_BACK,
+    LOAD, DRIVEN_BACK, LOAD_STRIBECK, LOAD_SQUARE,
 ) = range(len(FIELDS))  # fmt: skip
 #: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
 DRIVEN, POSITION, SPEED = 0, 1, 2
@@ -54,17 +54,20 @@ def level(f: Array, j: int, v: float) -> float:
 def friction(f: Array, j: int, v: float, z: float, u: float) -> float:
     """Force of dry friction against a speed v, of bristles by their deflection z.
 
-    Without bristles it takes a share of the force u that the joint transmits too, a larger one where that is against v
-    (Duclusaud 2024, arXiv 2410.08650, has motor and load torques apart: in slow motion this share is some twice the K_l
-    of its M3). Misleading where u is a command that does not pass a gear.
+    Without bristles it takes a share of the force u that the joint transmits too, a larger one at break-away, where u
+    is against v, or in proportion to u (Duclusaud 2024, arXiv 2410.08650, M3 to M6, has motor and load torques apart:
+    in slow motion this share is some twice the K_l of its M3). Misleading where u does not pass a gear.
     """
-    if f[j, COULOMB] == 0.0 and f[j, LOAD] == 0.0 and f[j, DRIVEN_BACK] == 0.0:
+    if f[j, COULOMB] == 0.0 and f[j, LOAD] == 0.0 and f[j, DRIVEN_BACK] == 0.0 and f[j, LOAD_SQUARE] == 0.0:
         return 0.0
     if f[j, BRISTLES] > 0.0:
         return f[j, COULOMB] * z / f[j, BRISTLES]
     most = level(f, j, v)
-    if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0:
-        most += (f[j, LOAD] + f[j, DRIVEN_BACK] * (u * v < 0.0)) * abs(u)
+    if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0 or f[j, LOAD_SQUARE] != 0.0:
+        share = f[j, LOAD] + f[j, DRIVEN_BACK] * (u * v < 0.0) + f[j, LOAD_SQUARE] * abs(u)
+        if f[j, LOAD_STRIBECK] != 0.0:
+            share += f[j, LOAD] * f[j, LOAD_STRIBECK] * np.exp(-((v / f[j, STRIBECK_SPEED]) ** 2))
+        most += share * abs(u)
     return most * np.tanh(v / f[j, COULOMB_SPEED])
 
 
@@ -101,8 +104,17 @@ def coupled(f: Array, j: int, twist: float, slip: float) -> float:
 
 
 @_njit
-def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[no-untyped-def]
-    """Derivatives dx of the extended state x under inputs u (nu,); `drive` is a buffer (nu,)."""
+def no_law(j, q, v, x, u, p):  # type: ignore[no-untyped-def]
+    """Effort of an actuator's law within the motion at port j, at a position and speed: of a model without any."""
+    return 0.0
+
+
+@_njit
+def _derivative(motion, law, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[no-untyped-def]
+    """Derivatives dx of the extended state x under inputs u (nu,); `drive` is a buffer (nu,).
+
+    Behind a coupling a law acts on the motor, and what the motion gives of it at the load is taken away.
+    """
     for i in range(drive.size):
         drive[i] = u[i]
     for j in range(places.shape[0]):
@@ -110,21 +122,24 @@ def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[n
         if f[j, INERTIA] > 0.0:
             through = coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
             dx[k + MOTOR] = x[k + MOTOR_SPEED]
-            own = drive[a] - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED]
-            dx[k + MOTOR_SPEED] = (own - through) / f[j, INERTIA]
-            drive[a] = through
+            own = drive[a] + law(j, x[k + MOTOR], x[k + MOTOR_SPEED], x, u, p)
+            dx[k + MOTOR_SPEED] = (own - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED] - through) / f[j, INERTIA]
+            drive[a] = through - law(j, q, v, x, u, p)
         else:
             dx[k + MOTOR] = 0.0
             dx[k + MOTOR_SPEED] = 0.0
         dx[k + BRISTLE] = 0.0
-        drive[a] -= friction(f, j, v, x[k + BRISTLE], drive[a]) + resisting(f, j, q, v)
+        load = drive[a]
+        if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0 or f[j, LOAD_SQUARE] != 0.0:
+            load += law(j, q, v, x, u, p)
+        drive[a] -= friction(f, j, v, x[k + BRISTLE], load) + resisting(f, j, q, v)
     moved = motion(t, x, drive, p)
     for i in range(nx):
         dx[i] = moved[i]
 
 
 @_njit
-def windows(motion, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
+def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
     """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu)."""
     wide = x0.shape[1]
     k1, k2, k3, k4, mid = np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide)
@@ -140,19 +155,19 @@ def windows(motion, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type
             row = u[first[w] + n]
             t = (first[w] + n) * tick_s
             for s in range(steps):
-                _derivative(motion, t + s * h, x, row, p, f, places, nx, drive, k1)
+                _derivative(motion, law, t + s * h, x, row, p, f, places, nx, drive, k1)
                 for i in range(wide):
                     mid[i] = x[i] + 0.5 * h * k1[i]
                 _bend(f, places, nx, x, mid, 0.5 * h)
-                _derivative(motion, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k2)
+                _derivative(motion, law, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k2)
                 for i in range(wide):
                     mid[i] = x[i] + 0.5 * h * k2[i]
                 _bend(f, places, nx, x, mid, 0.5 * h)
-                _derivative(motion, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k3)
+                _derivative(motion, law, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k3)
                 for i in range(wide):
                     mid[i] = x[i] + h * k3[i]
                 _bend(f, places, nx, x, mid, h)
-                _derivative(motion, t + (s + 1) * h, mid, row, p, f, places, nx, drive, k4)
+                _derivative(motion, law, t + (s + 1) * h, mid, row, p, f, places, nx, drive, k4)
                 for i in range(wide):
                     mid[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
                 _bend(f, places, nx, x, mid, h)

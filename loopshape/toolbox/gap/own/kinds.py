@@ -27,7 +27,18 @@ def _with(model: Model, kind: Kind) -> Model:
     drive = [i.name for i in model.inputs].index(port.input)
     motion = _pushed(model.motion, kind.force, drive, *(model.states.index(s) for s in (port.position, port.speed)))
     numbers = _numbers(kind)
-    return replace(model, motion=motion, parameters=(*model.parameters, *numbers), derived=_both(model))
+    law = None if model.law is None else _within(model.law)
+    return replace(model, motion=motion, parameters=(*model.parameters, *numbers), derived=_both(model), law=law)
+
+
+def _within(law: Callable[..., Any]) -> Callable[..., Any]:
+    """The laws of actuators; p is what the model had, and the kind's numbers."""
+    base = kernel.compiled(law)
+
+    def within(j, q, v, x, u, p):  # type: ignore[no-untyped-def]
+        return base(j, q, v, x, u, p[0])
+
+    return within
 
 
 def _numbers(kind: Kind) -> list[ModelParameter]:

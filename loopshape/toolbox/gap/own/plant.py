@@ -121,9 +121,21 @@ class OwnMachine:
         u, y = np.concatenate([f.u for f in prepared]), np.concatenate([f.y for f in prepared])
         command = {i.name: (_peak(u[:, k]), float(np.median(np.abs(u[:, k])))) for k, i in enumerate(model.inputs)}
         output = {o.name: max(_peak(y[:, k]), 1e-12) for k, o in enumerate(model.outputs)}
+        if model.law is not None:
+            sizes = [self._by_law(j, prepared) for j in range(len(model.ports))]
+            command |= {p.input: size for p, size in zip(model.ports, sizes, strict=True) if size[0] > 0.0}
         rare = {i.name: tuple(np.quantile(np.abs(u[:, k]), RARE).tolist()) for k, i in enumerate(model.inputs)}
         ports = {p.name: self._port(p.name, prepared, command[p.input][0]) for p in model.ports}
         return Scales(self.window_s, command, output, ports, rare)
+
+    def _by_law(self, j: int, prepared: Sequence[Followed]) -> tuple[float, float]:
+        """Largest and usual effort that a law gives at port j, where windows begin; 0 where there is none."""
+        c, (_, q, v) = self.composed, self.composed.places[j]
+        efforts = np.array([
+            c.law(j, x[q], x[v], x, u, c.values({}, f.constants))
+            for f in prepared for x, u in zip(f.start, f.u[f.first], strict=True)
+        ])  # fmt: skip
+        return _peak(efforts), float(np.median(np.abs(efforts)))
 
     def _port(self, name: str, prepared: Sequence[Followed], most: float) -> PortScale:
         """Force by the simulator: one that moves the machine within a window as far as it was seen moving.

@@ -10,19 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import Array
-from loopshape.toolbox.gap.nouns.gap_report import GapReport, Ranked, Trace
+from loopshape.toolbox.gap.nouns.gap_report import Curve, GapReport, Ranked, Trace
 from loopshape.toolbox.gap.pictures.chain import chain, percent
 from loopshape.toolbox.gap.pictures.distances import HEALED, NOMINAL, compared, distances, named
-from loopshape.toolbox.gap.pictures.missing import missing
-from loopshape.toolbox.gap.pictures.missing import shown as missing_curves
 from loopshape.view.labels import bracket, symbol
-from loopshape.view.style import FULL_WIDTH_IN, QUIET, axes_or_new, styled
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, axes_or_new, styled
 
 MEASURED = "0.1"
 LEAST, MOST = 4, 5  # hypotheses that are shown
 PLAIN = 0.001  # a hypothesis below is shown only to fill the least
 _LINE = 96  # characters of the title's lines
 _WINDOW_S = (3.0, 10.0)
+CURVES, ROOM = 2, 0.6  # of a missing force, side by side at most; above and below them, of their height
 _LONG = 40  # characters of a name that leaves room for two columns of the key
 
 
@@ -37,7 +36,7 @@ def gap_figure(report: GapReport) -> Figure:
     title = balanced(report.sentence).replace("$", r"\$")
     shown = bool(report.traces)
     legend_rows = 1 if report.verdict in ("none", "unknown") else 2
-    curves = missing_curves(next(iter(report.missing_by_place.values()), []))
+    curves = _largest(next(iter(report.missing_by_place.values()), []))
     heights = [1.42, 2.75 + 0.17 * legend_rows, *([2.3] if shown else []), *([2.0] if curves else [])]
     figure = Figure(figsize=(FULL_WIDTH_IN, sum(heights) + 0.18 + 0.17 * (1 + title.count("\n"))))
     figure.suptitle(title, x=0.012, ha="left", fontsize=10.0, linespacing=1.25)
@@ -199,3 +198,30 @@ def _channel(trace: Trace) -> tuple[str, str]:
     """Name and unit of `theta [deg]`."""
     name, _, unit = trace.channel.partition(" [")
     return name, unit.rstrip("]")
+
+
+@styled()
+def missing(report: GapReport, curve: Curve, *, ax: Axes | None = None) -> Axes:
+    """One curve: what would close the gap over speed, position or size, its 95 % interval, and the named effect."""
+    ax = axes_or_new(ax)
+    ax.axhline(0.0, color="0.7", linewidth=0.6)
+    ax.fill_between(curve.x, curve.low, curve.high, color=COLOURS[0], alpha=0.2, linewidth=0.0, gid="interval")
+    ax.plot(curve.x, curve.value, color=COLOURS[0], linewidth=1.4, gid="nameless", label="what would close the gap")
+    if curve.named is not None:
+        label = report.leading_name.replace("_", " ")
+        ax.plot(
+            curve.x, curve.named, color=COLOURS[1], linewidth=1.2, linestyle=(0, (4, 1.5)), gid="named", label=label
+        )
+    ax.set_xlabel(f"{curve.over}{bracket(curve.over_unit)}")
+    ax.set_ylabel(f"added{bracket(curve.unit)}")
+    ax.set_xlim(curve.x[0], curve.x[-1])
+    ends = [curve.value, *([] if curve.named is None else [curve.named])]
+    low, high = min(float(y.min()) for y in ends), max(float(y.max()) for y in ends)
+    room = ROOM * max(high - low, 1e-12)  # an interval that is wider tells no more
+    ax.set_ylim(low - room, high + room)
+    return ax
+
+
+def _largest(curves: Sequence[Curve]) -> list[Curve]:
+    """The curves that matter most: those that swing furthest."""
+    return sorted(curves, key=lambda c: -float(c.value.max() - c.value.min()))[:CURVES]

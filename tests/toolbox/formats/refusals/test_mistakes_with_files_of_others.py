@@ -148,7 +148,7 @@ def test_names_of_many_outputs_make_a_loop_and_a_bad_one_leaves_no_folder(tmp_pa
     with pytest.raises(ls.LoopshapeError, match="--loop"):
         add_frfs(tmp_path / "other", [bad])
     assert not (tmp_path / "other").exists()
-    with pytest.raises(ls.LoopshapeError, match=r"FRFs alone.*gap and ls.read need recordings"):
+    with pytest.raises(ls.LoopshapeError, match=r"FRFs alone.*gap --model take it.*ls.read needs recordings"):
         ls.read(tmp_path / "run")
 
 

@@ -225,9 +225,87 @@ def test_units_of_commands_and_what_a_command_cannot_have():
     gain = next(p for p in model.parameters if p.name == "gain_tried")
     assert (gain.tolerance, gain.effect) == (0.05, "actuator_gain_error@tried")
     ports = {port.name: port for port in model.ports}
-    assert (ports["shoulder"].input, ports["shoulder"].motor_inertia) == ("shoulder_effort", None)
+    assert (ports["shoulder"].input, ports["shoulder"].motor_inertia) == ("shoulder_effort", "armature_shoulder")
+    assert ports["elbow"].motor_inertia is None
     motor = {port.name: port for port in built(text(KINDS["motor"])).ports}["shoulder"]
     assert (motor.input, motor.motor_inertia) == ("tried", "armature_shoulder")
+
+
+def through(twist, slip, play):
+    """Effort through a spring of 40 N m/rad behind play."""
+    bent = np.sign(twist) * max(abs(twist) - 0.5 * play, 0.0)
+    return 0.0 if bent == 0.0 else 40.0 * bent + 0.05 * slip
+
+
+def behind_a_coupling(xml, commands, hold, play):
+    """Angles (rows, 2) of rotor and link, the link turning against the rotor by a second joint of its own."""
+    second = '<joint name="twist" axis="0 1 0"/><geom name="upper_tube"'
+    m = mujoco.MjModel.from_xml_string(xml.replace('<geom name="upper_tube"', second))
+    data, out = mujoco.MjData(m), []
+    at = {name: int(m.joint(name).qposadr[0]) for name in ("shoulder", "twist")}
+    data.qpos[at["shoulder"]] = 0.1
+    for row in commands:
+        data.ctrl[:] = row
+        out.append([data.qpos[at["shoulder"]], data.qpos[at["shoulder"]] + data.qpos[at["twist"]]])
+        for _ in range(hold):
+            data.qfrc_applied[at["twist"]] = through(-data.qpos[at["twist"]], -data.qvel[at["twist"]], play)
+            mujoco.mj_step(m, data)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("kind", ["position, clamped", "position behind a filter", "affine"])
+def test_a_servo_behind_a_spring_or_play_sees_the_rotor_as_mujoco_steps_it(kind):
+    xml, rng, hold = text(KINDS[kind]), np.random.default_rng(4), 20
+    model = built(xml)
+    c, at, armature, damping = Composed(model), "port.shoulder.", 0.02, 0.05
+    moves = {
+        at + "inertia": armature, "change.armature_shoulder": -armature * (1.0 - 1e-6),
+        at + "motor_damping": damping, "change.damping_shoulder": -damping * (1.0 - 1e-6),
+        at + "coupling": 40.0, at + "coupling_damping": 0.05,
+    }  # fmt: skip
+    commands = np.repeat(np.column_stack([rng.uniform(-0.6, 0.6, 20), np.zeros(20)]), 20, axis=0)
+    drive = np.array([driven(model, {"tried": row[0]}) for row in commands])
+    nx = len(model.states)
+    x0, out = np.zeros((1, nx + 3 * len(model.ports))), np.empty((1, len(drive), nx))
+    shoulder = model.states.index("shoulder")
+    x0[0, shoulder] = x0[0, nx + 3 * [p.name for p in model.ports].index("shoulder") + 1] = 0.1
+    for play in (0.0, 0.03):
+        forces = c.forces(moves | {at + "play": play})
+        c.run(x0, np.zeros(1, dtype=np.int64), drive, c.values(moves), forces, c.places, nx, 0.002, 20, out)
+        theirs = behind_a_coupling(xml, commands, hold, play)
+        twist = np.max(np.abs(theirs[:, 1] - theirs[:, 0]))
+        assert twist > 5e-3
+        np.testing.assert_allclose(out[0, :, shoulder], theirs[:, 0], atol=0.03 * twist)
+
+
+def test_friction_of_a_servos_gear_grows_with_the_effort_that_its_law_gives():
+    xml = text(KINDS["position, clamped"])
+    model, rng = built(xml), np.random.default_rng(5)
+    c, at = Composed(model), "port.shoulder."
+    commands = np.repeat(np.column_stack([rng.uniform(-0.6, 0.6, 20), np.zeros(20)]), 20, axis=0)
+    m = mujoco.MjModel.from_xml_string(xml)
+    data, theirs = mujoco.MjData(m), []
+    shoulder = model.states.index("shoulder")
+    data.qpos[shoulder] = 0.1
+    for row in commands:
+        data.ctrl[:] = row
+        theirs.append(data.qpos[shoulder])
+        for _ in range(20):
+            mujoco.mj_forward(m, data)
+            dry = (0.05 + 0.3 * abs(data.qfrc_actuator[shoulder])) * np.tanh(data.qvel[shoulder] / 0.05)
+            data.qfrc_applied[shoulder] = -dry
+            mujoco.mj_step(m, data)
+    drive = np.array([driven(model, {"tried": row[0]}) for row in commands])
+    nx = len(model.states)
+    mine = []
+    for share in (0.3, 0.0):
+        x0, out = np.zeros((1, nx + 3 * len(model.ports))), np.empty((1, len(drive), nx))
+        x0[0, shoulder] = 0.1
+        f = c.forces({at + "coulomb": 0.05, at + "coulomb_speed": 0.05, at + "load": share})
+        c.run(x0, np.zeros(1, dtype=np.int64), drive, c.values({}), f, c.places, nx, 0.002, 20, out)
+        mine.append(out[0, :, shoulder])
+    effect = np.sqrt(np.mean((mine[1] - theirs) ** 2))
+    assert np.sqrt(np.mean((mine[0] - theirs) ** 2)) < 0.02 * effect
 
 
 @pytest.mark.long

@@ -178,11 +178,23 @@ def test_friction_of_a_gear_takes_a_share_of_what_it_transmits_and_more_when_dri
     assert acting == pytest.approx([0.09, -0.09, 0.19, -0.19])
 
 
+def test_friction_of_a_gear_may_stick_under_load_and_grow_with_its_square():
+    at = "port.bearing."
+    f = Composed(own_machine.MODEL).forces(
+        {at + "coulomb": 0.04, at + "coulomb_speed": 1e-3, at + "load": 0.1, at + "stribeck": 0.5,
+         at + "stribeck_speed": 2.0, at + "load_stribeck": 2.0, at + "load_square": 0.4}
+    )  # fmt: skip
+    stuck = np.exp(-1.0)
+    sticking = 0.04 * (1.0 + 0.5 * stuck) + 0.1 * (1.0 + 2.0 * stuck) * 0.5 + 0.4 * 0.25
+    acting = [kernel.friction(f, 0, v, 0.0, u) for v, u in ((2.0, 0.5), (-2.0, 0.5), (200.0, 0.5))]
+    assert acting == pytest.approx([sticking, -sticking, 0.04 + 0.05 + 0.1])
+
+
 def test_no_load_is_looked_for_where_nothing_drives():
     port = {"bearing": PortScale(1.0, 1.0, -0.5, 0.5)}
     tried = [[f.form for f in forms(own_machine.MODEL, Scales(1.0, {"drum": drum}, {"encoder": 0.5}, port))]
              for drum in ((9.0, 1.2), (0.0, 0.0))]  # fmt: skip
-    assert [sum("grows with the load" in form for form in row) for row in tried] == [2, 0]
+    assert [sum("grows with the load" in form for form in row) for row in tried] == [4, 0]
 
 
 def test_forces_are_looked_for_up_to_what_the_actuator_gives():
