@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import lfilter
@@ -60,7 +61,7 @@ class Followed:
     floor: Array
     constants: Mapping[str, float] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def measured(self) -> Array:
         """Measured outputs (windows, blocks, ny)."""
         return self.blocks(self.y[self.first[:, None] + np.arange(self.length)])
@@ -68,6 +69,8 @@ class Followed:
     def blocks(self, values: Array) -> Array:
         """Means over blocks (windows, blocks, ny) of values (windows, length, ny)."""
         kept = values[:, self.lead :]
+        if self.block == 1:
+            return kept
         return np.asarray(kept.reshape(kept.shape[0], -1, self.block, kept.shape[2]).mean(axis=2))
 
 
@@ -220,9 +223,10 @@ def extended(c: Composed, f: Followed, start: Array) -> Array:
 
 def off(f: Followed, y: Array) -> Array:
     """Measured minus simulated outputs y (k, blocks, ny) over the floor, (k, values); what runs away is cut off."""
-    times = len(y) // len(f.first)
-    lacking = (np.tile(f.measured, (times, 1, 1)) - y) / f.floor
-    return np.clip(np.nan_to_num(lacking, nan=RUN_AWAY), -RUN_AWAY, RUN_AWAY).reshape(len(y), -1)
+    lacking = (f.measured - y.reshape(-1, *f.measured.shape)) / f.floor
+    np.clip(lacking, -RUN_AWAY, RUN_AWAY, out=lacking)
+    lacking[np.isnan(lacking)] = RUN_AWAY
+    return lacking.reshape(len(y), -1)
 
 
 def shot(

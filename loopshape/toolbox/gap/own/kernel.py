@@ -36,7 +36,7 @@ FIELDS = (
 #: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
 DRIVEN, POSITION, SPEED = 0, 1, 2
 
-_njit = numba.njit(nogil=True, error_model="numpy")
+_njit = numba.njit(nogil=True, error_model="numpy", _nrt=False)  # these make no arrays: counting references took most
 
 
 @_njit
@@ -71,7 +71,7 @@ def friction(f: Array, j: int, v: float, z: float, u: float) -> float:
 @_njit
 def _bend(f: Array, places: Array, nx: int, x: Array, stage: Array, h: float) -> None:
     """Deflections of the bristles in `stage`, a time h after those in x, at the mean of both speeds."""
-    for j in range(places.shape[0]):
+    for j in range(places.shape[0] if x.size > nx else 0):
         if f[j, BRISTLES] > 0.0 and f[j, COULOMB] > 0.0:
             k, v = nx + PER_PORT * j + BRISTLE, 0.5 * (x[places[j, SPEED]] + stage[places[j, SPEED]])
             most = f[j, BRISTLES] * level(f, j, v) / f[j, COULOMB]
@@ -101,58 +101,71 @@ def coupled(f: Array, j: int, twist: float, slip: float) -> float:
 
 
 @_njit
-def _derivative(motion, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[no-untyped-def]
-    """Derivatives dx of the extended state x under inputs u (nu,); `drive` is a buffer (nu,)."""
+def _driven(f: Array, places: Array, nx: int, x: Array, u: Array, drive: Array, dx: Array) -> None:
+    """What drives the model, `drive` (nu,), under inputs u and the forces at its ports, whose derivatives go to dx."""
     for i in range(drive.size):
         drive[i] = u[i]
     for j in range(places.shape[0]):
-        q, v, k, a = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN]
-        if f[j, INERTIA] > 0.0:
-            through = coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
-            dx[k + MOTOR] = x[k + MOTOR_SPEED]
-            own = drive[a] - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED]
-            dx[k + MOTOR_SPEED] = (own - through) / f[j, INERTIA]
-            drive[a] = through
-        else:
-            dx[k + MOTOR] = 0.0
-            dx[k + MOTOR_SPEED] = 0.0
-        dx[k + BRISTLE] = 0.0
-        drive[a] -= friction(f, j, v, x[k + BRISTLE], drive[a]) + resisting(f, j, q, v)
-    moved = motion(t, x, drive, p)
-    for i in range(nx):
-        dx[i] = moved[i]
+        q, v, k, a, bent = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN], 0.0
+        if x.size > nx:
+            dx[k + BRISTLE] = dx[k + MOTOR] = dx[k + MOTOR_SPEED] = 0.0
+            bent = x[k + BRISTLE]
+            if f[j, INERTIA] > 0.0:
+                through = coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
+                dx[k + MOTOR] = x[k + MOTOR_SPEED]
+                own = drive[a] - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED]
+                dx[k + MOTOR_SPEED] = (own - through) / f[j, INERTIA]
+                drive[a] = through
+        drive[a] -= friction(f, j, v, bent, drive[a]) + resisting(f, j, q, v)
 
 
-@_njit
+@numba.njit(nogil=True, error_model="numpy")
 def windows(motion, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
-    """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu)."""
-    wide = x0.shape[1]
+    """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu).
+
+    x0 may be (windows, nx) where no port has bristles or a motor of its own.
+    """
+    wide, nu = x0.shape[1], u.shape[1]
     k1, k2, k3, k4, mid = np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide)
-    drive, h = np.empty(u.shape[1]), tick_s / steps
+    x, row, drive, h = np.empty(wide), np.empty(nu), np.empty(nu), tick_s / steps
     for w in range(x0.shape[0]):
-        x = x0[w].copy()
+        for i in range(wide):
+            x[i] = x0[w, i]
         for n in range(out.shape[1]):
             for i in range(nx):
                 out[w, n, i] = x[i]
             for j in range(places.shape[0]):
                 if f[j, INERTIA] > 0.0:
                     out[w, n, places[j, POSITION]] = x[nx + PER_PORT * j + MOTOR]
-            row = u[first[w] + n]
+            for i in range(nu):
+                row[i] = u[first[w] + n, i]
             t = (first[w] + n) * tick_s
             for s in range(steps):
-                _derivative(motion, t + s * h, x, row, p, f, places, nx, drive, k1)
+                _driven(f, places, nx, x, row, drive, k1)
+                moved = motion(t + s * h, x, drive, p)
+                for i in range(nx):
+                    k1[i] = moved[i]
                 for i in range(wide):
                     mid[i] = x[i] + 0.5 * h * k1[i]
                 _bend(f, places, nx, x, mid, 0.5 * h)
-                _derivative(motion, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k2)
+                _driven(f, places, nx, mid, row, drive, k2)
+                moved = motion(t + (s + 0.5) * h, mid, drive, p)
+                for i in range(nx):
+                    k2[i] = moved[i]
                 for i in range(wide):
                     mid[i] = x[i] + 0.5 * h * k2[i]
                 _bend(f, places, nx, x, mid, 0.5 * h)
-                _derivative(motion, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k3)
+                _driven(f, places, nx, mid, row, drive, k3)
+                moved = motion(t + (s + 0.5) * h, mid, drive, p)
+                for i in range(nx):
+                    k3[i] = moved[i]
                 for i in range(wide):
                     mid[i] = x[i] + h * k3[i]
                 _bend(f, places, nx, x, mid, h)
-                _derivative(motion, t + (s + 1) * h, mid, row, p, f, places, nx, drive, k4)
+                _driven(f, places, nx, mid, row, drive, k4)
+                moved = motion(t + (s + 1) * h, mid, drive, p)
+                for i in range(nx):
+                    k4[i] = moved[i]
                 for i in range(wide):
                     mid[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
                 _bend(f, places, nx, x, mid, h)
