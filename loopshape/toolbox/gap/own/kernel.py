@@ -71,7 +71,7 @@ def friction(f: Array, j: int, v: float, z: float, u: float) -> float:
 @_njit
 def _bend(f: Array, places: Array, nx: int, x: Array, stage: Array, h: float) -> None:
     """Deflections of the bristles in `stage`, a time h after those in x, at the mean of both speeds."""
-    for j in range(places.shape[0] if x.size > nx else 0):
+    for j in range(places.shape[0]):
         if f[j, BRISTLES] > 0.0 and f[j, COULOMB] > 0.0:
             k, v = nx + PER_PORT * j + BRISTLE, 0.5 * (x[places[j, SPEED]] + stage[places[j, SPEED]])
             most = f[j, BRISTLES] * level(f, j, v) / f[j, COULOMB]
@@ -120,57 +120,85 @@ def _driven(f: Array, places: Array, nx: int, x: Array, u: Array, drive: Array, 
 
 
 @numba.njit(nogil=True, error_model="numpy")
+def _buffers(wide: int, nu: int) -> tuple[Array, ...]:
+    """Of one window: state, that of a stage, slopes of four stages, its row of the inputs, and what drives it."""
+    x, mid, row, drive = np.empty(wide), np.empty(wide), np.empty(nu), np.empty(nu)
+    return x, mid, np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), row, drive
+
+
+@numba.njit(nogil=True, error_model="numpy")
 def windows(motion, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
     """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu).
 
     x0 may be (windows, nx) where no port has bristles or a motor of its own.
     """
-    wide, nu = x0.shape[1], u.shape[1]
-    k1, k2, k3, k4, mid = np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide)
-    x, row, drive, h = np.empty(wide), np.empty(nu), np.empty(nu), tick_s / steps
-    for w in range(x0.shape[0]):
+    wide, nu, h = x0.shape[1], u.shape[1], tick_s / steps
+    x, mid, k1, k2, k3, k4, row, drive = _buffers(wide, nu)
+    other_x, other_mid, other_k1, other_k2, other_k3, other_k4, other_row, other_drive = _buffers(wide, nu)
+    for one in range(0, x0.shape[0], 2):  # two at a time: while one waits for a result the other is computed
+        other = min(one + 1, x0.shape[0] - 1)
         for i in range(wide):
-            x[i] = x0[w, i]
+            x[i], other_x[i] = x0[one, i], x0[other, i]
         for n in range(out.shape[1]):
             for i in range(nx):
-                out[w, n, i] = x[i]
-            for j in range(places.shape[0]):
+                out[one, n, i], out[other, n, i] = x[i], other_x[i]
+            for j in range(places.shape[0] if wide > nx else 0):
                 if f[j, INERTIA] > 0.0:
-                    out[w, n, places[j, POSITION]] = x[nx + PER_PORT * j + MOTOR]
+                    motor = nx + PER_PORT * j + MOTOR
+                    out[one, n, places[j, POSITION]], out[other, n, places[j, POSITION]] = x[motor], other_x[motor]
             for i in range(nu):
-                row[i] = u[first[w] + n, i]
-            t = (first[w] + n) * tick_s
+                row[i], other_row[i] = u[first[one] + n, i], u[first[other] + n, i]
+            t, other_t = (first[one] + n) * tick_s, (first[other] + n) * tick_s
             for s in range(steps):
                 _driven(f, places, nx, x, row, drive, k1)
+                _driven(f, places, nx, other_x, other_row, other_drive, other_k1)
                 moved = motion(t + s * h, x, drive, p)
+                other_moved = motion(other_t + s * h, other_x, other_drive, p)
                 for i in range(nx):
-                    k1[i] = moved[i]
+                    k1[i], other_k1[i] = moved[i], other_moved[i]
                 for i in range(wide):
-                    mid[i] = x[i] + 0.5 * h * k1[i]
-                _bend(f, places, nx, x, mid, 0.5 * h)
+                    mid[i], other_mid[i] = x[i] + 0.5 * h * k1[i], other_x[i] + 0.5 * h * other_k1[i]
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, 0.5 * h)
+                    _bend(f, places, nx, other_x, other_mid, 0.5 * h)
                 _driven(f, places, nx, mid, row, drive, k2)
+                _driven(f, places, nx, other_mid, other_row, other_drive, other_k2)
                 moved = motion(t + (s + 0.5) * h, mid, drive, p)
+                other_moved = motion(other_t + (s + 0.5) * h, other_mid, other_drive, p)
                 for i in range(nx):
-                    k2[i] = moved[i]
+                    k2[i], other_k2[i] = moved[i], other_moved[i]
                 for i in range(wide):
-                    mid[i] = x[i] + 0.5 * h * k2[i]
-                _bend(f, places, nx, x, mid, 0.5 * h)
+                    mid[i], other_mid[i] = x[i] + 0.5 * h * k2[i], other_x[i] + 0.5 * h * other_k2[i]
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, 0.5 * h)
+                    _bend(f, places, nx, other_x, other_mid, 0.5 * h)
                 _driven(f, places, nx, mid, row, drive, k3)
+                _driven(f, places, nx, other_mid, other_row, other_drive, other_k3)
                 moved = motion(t + (s + 0.5) * h, mid, drive, p)
+                other_moved = motion(other_t + (s + 0.5) * h, other_mid, other_drive, p)
                 for i in range(nx):
-                    k3[i] = moved[i]
+                    k3[i], other_k3[i] = moved[i], other_moved[i]
                 for i in range(wide):
-                    mid[i] = x[i] + h * k3[i]
-                _bend(f, places, nx, x, mid, h)
+                    mid[i], other_mid[i] = x[i] + h * k3[i], other_x[i] + h * other_k3[i]
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, h)
+                    _bend(f, places, nx, other_x, other_mid, h)
                 _driven(f, places, nx, mid, row, drive, k4)
+                _driven(f, places, nx, other_mid, other_row, other_drive, other_k4)
                 moved = motion(t + (s + 1) * h, mid, drive, p)
+                other_moved = motion(other_t + (s + 1) * h, other_mid, other_drive, p)
                 for i in range(nx):
-                    k4[i] = moved[i]
+                    k4[i], other_k4[i] = moved[i], other_moved[i]
                 for i in range(wide):
                     mid[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
-                _bend(f, places, nx, x, mid, h)
+                    other_mid[i] = other_x[i] + h / 6.0 * (
+                        other_k1[i] + 2.0 * (other_k2[i] + other_k3[i]) + other_k4[i]
+                    )
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, h)
+                    _bend(f, places, nx, other_x, other_mid, h)
                 for i in range(wide):
-                    x[i] = mid[i]
+                    x[i], other_x[i] = mid[i], other_mid[i]
 
 
 def compiled(motion: Callable[..., Any]) -> Callable[..., Any]:
