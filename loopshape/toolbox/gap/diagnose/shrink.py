@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -91,10 +92,20 @@ def interval_of(before: Array, after: Array) -> tuple[float, float] | None:
     """95 % interval of the shrink: a cluster bootstrap over recordings, then windows; None where there is no gap."""
     if shrink_of(before, after) is None:
         return None
-    rng = np.random.default_rng(SEED)
-    draws = [_draw(rng, before, after) for _ in range(DRAWS)]
-    known = [d for d in draws if d is not None]
+    rows, parts = _picks(before.shape[0], before.shape[2])
+    b, a = (np.sqrt(x.mean(axis=1)[rows[:, :, None], parts].mean(axis=(1, 2))) for x in (before, after))
+    known = (b - a)[b >= SMALLEST_GAP] / (b - 1.0)[b >= SMALLEST_GAP]
     return float(np.percentile(known, 2.5)), float(np.percentile(known, 97.5))
+
+
+@cache
+def _picks(n: int, w: int) -> tuple[np.ndarray, np.ndarray]:
+    """Recordings (DRAWS, n) of n and windows (DRAWS, n, w) of w that the bootstrap draws, always the same."""
+    rng, rows, parts = np.random.default_rng(SEED), np.empty((DRAWS, n), int), np.empty((DRAWS, n, w), int)
+    for k in range(DRAWS):
+        parts[k] = rng.integers(0, w, (n, w))
+        rows[k] = [int(rng.integers(0, n)) for _ in range(n)]
+    return rows, parts
 
 
 def budget(before: Array, steps: Sequence[tuple[BudgetPart, tuple[str, ...], Array]]) -> tuple[BudgetStep, ...]:
@@ -106,14 +117,6 @@ def budget(before: Array, steps: Sequence[tuple[BudgetPart, tuple[str, ...], Arr
         for part, of, x in steps
     )
     return (first, *added, floor)
-
-
-def _draw(rng: np.random.Generator, before: Array, after: Array) -> float | None:
-    n, _, w = before.shape
-    parts = rng.integers(0, w, (n, w))
-    rows = [int(rng.integers(0, n)) for _ in range(n)]
-    pick = [(before[row][:, parts[k]], after[row][:, parts[k]]) for k, row in enumerate(rows)]
-    return shrink_of(np.array([b for b, _ in pick]), np.array([a for _, a in pick]))
 
 
 def submodels(before: Levels, after: Levels | None, rival: Levels | None) -> list[Submodel]:

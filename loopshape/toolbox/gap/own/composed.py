@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
-from loopshape.toolbox.gap.nouns.machine import Model
+from loopshape.toolbox.gap.nouns.machine import Input, Model, Output, Port
 from loopshape.toolbox.gap.nouns.plant import Parameter, ParameterTable
 from loopshape.toolbox.gap.own import kernel
 from loopshape.toolbox.gap.own.signals import ACTUATOR, SENSOR
@@ -72,17 +72,26 @@ class Composed:
     def _still(self) -> Array:
         return np.zeros(len(self.model.inputs))
 
-    @property
+    @cached_property
     def run(self) -> Any:
-        """The kernel with the motion in it; plain where the motion is."""
+        """The kernel with the motion in it; plain where the motion is. Ports where nothing acts are left out."""
         whole = kernel.windows if self.is_compiled else getattr(kernel.windows, "py_func", kernel.windows)
         motion, law = self.motion, self.law
 
-        def run(*arguments: Any) -> None:
+        def run(x0: Array, first: Array, u: Array, p: Any, f: Array, places: Array, nx: int, *others: Any) -> None:
+            acts = np.flatnonzero((f != self._idle).any(axis=1))
+            moves = acts if (f[acts][:, [kernel.BRISTLES, kernel.INERTIA]] > 0.0).any() else acts[:0]
+            kept = nx + kernel.PER_PORT * moves[:, None] + np.arange(kernel.PER_PORT)
+            x0 = np.concatenate([x0[:, :nx], x0[:, kept.ravel()]], axis=1)
             with np.errstate(all="ignore"):  # a wrong hypothesis may run away; that is no crash
-                whole(motion, law, *arguments)
+                whole(motion, law, x0, first, u, p, f[acts], np.column_stack([places[acts], acts]), nx, *others)
 
         return run
+
+    @cached_property
+    def _idle(self) -> Array:
+        """What acts at the ports of a model without effects."""
+        return self.forces({})
 
     @cached_property
     def _tuple(self) -> Any:
@@ -107,16 +116,28 @@ class Composed:
 
     def actuator(self, j: int, m: Mapping[str, float]) -> dict[str, float]:
         """Numbers of the j-th input's actuator."""
-        return {key: m.get(f"{INPUT}.{self.model.inputs[j].name}.{key}", v) for key, (v, _) in ACTUATOR.items()}
+        return {key: m.get(name, v) for key, name, v in self._names[0][j]}
 
     def sensor(self, k: int, m: Mapping[str, float]) -> dict[str, float]:
         """Numbers of the k-th output's sensor."""
-        return {key: m.get(f"{OUTPUT}.{self.model.outputs[k].name}.{key}", v) for key, (v, _) in SENSOR.items()}
+        return {key: m.get(name, v) for key, name, v in self._names[1][k]}
 
     def forces(self, m: Mapping[str, float]) -> Array:
         """What acts at the ports (nports, fields)."""
-        rows = [[m.get(f"{PORT}.{p.name}.{k}", NEUTRAL.get(k, 0.0)) for k in kernel.FIELDS] for p in self.model.ports]
+        rows = [[m.get(name, v) for _, name, v in names] for names in self._names[2]]
         return np.array(rows, dtype=float).reshape(-1, len(kernel.FIELDS))
+
+    @cached_property
+    def _names(self) -> tuple[list[list[tuple[str, str, float]]], ...]:
+        """Of each input, output and port its numbers: (number, its name among moves, its neutral value)."""
+
+        def rows(kind: str, places: Iterable[Input | Output | Port], numbers: Mapping[str, float]) -> Any:
+            return [[(key, f"{kind}.{p.name}.{key}", v) for key, v in numbers.items()] for p in places]
+
+        acts, reads = ({key: v for key, (v, _) in of.items()} for of in (ACTUATOR, SENSOR))
+        fields = {key: NEUTRAL.get(key, 0.0) for key in kernel.FIELDS}
+        of = self.model
+        return rows(INPUT, of.inputs, acts), rows(OUTPUT, of.outputs, reads), rows(PORT, of.ports, fields)
 
     @cached_property
     def places(self) -> np.ndarray:

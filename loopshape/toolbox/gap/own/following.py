@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import lfilter
@@ -30,7 +31,8 @@ _PRIOR = 1.0 / 9.0  # an initial state lies within three ranges of the first gue
 _ROUNDING = 1e-12
 _STEP = 1e-4  # of a state's range, for slopes
 _ROUNDS = 4
-_SHARES = (1.0, 0.2)  # of a step of the initial states
+_SHORTER = 0.2  # of a step of the initial states, where the whole one does not pay
+_AS_PROMISED = 0.1  # of what straight lines promise of a step: one that lacks no more of it is not shortened
 CONVERGED = 6  # rounds for initial states of what is judged, not fitted
 _STABLE, _FINEST_HZ = 1.2, 2e4  # rate of a mode times the step, half of what the integration bears; no finer steps
 _SETTLED = 3.0  # time constants, after which a state that follows the inputs has forgotten its start
@@ -60,7 +62,7 @@ class Followed:
     floor: Array
     constants: Mapping[str, float] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def measured(self) -> Array:
         """Measured outputs (windows, blocks, ny)."""
         return self.blocks(self.y[self.first[:, None] + np.arange(self.length)])
@@ -68,6 +70,8 @@ class Followed:
     def blocks(self, values: Array) -> Array:
         """Means over blocks (windows, blocks, ny) of values (windows, length, ny)."""
         kept = values[:, self.lead :]
+        if self.block == 1:
+            return kept
         return np.asarray(kept.reshape(kept.shape[0], -1, self.block, kept.shape[2]).mean(axis=2))
 
 
@@ -220,9 +224,10 @@ def extended(c: Composed, f: Followed, start: Array) -> Array:
 
 def off(f: Followed, y: Array) -> Array:
     """Measured minus simulated outputs y (k, blocks, ny) over the floor, (k, values); what runs away is cut off."""
-    times = len(y) // len(f.first)
-    lacking = (np.tile(f.measured, (times, 1, 1)) - y) / f.floor
-    return np.clip(np.nan_to_num(lacking, nan=RUN_AWAY), -RUN_AWAY, RUN_AWAY).reshape(len(y), -1)
+    lacking = (f.measured - y.reshape(-1, *f.measured.shape)) / f.floor
+    np.clip(lacking, -RUN_AWAY, RUN_AWAY, out=lacking)
+    lacking[np.isnan(lacking)] = RUN_AWAY
+    return lacking.reshape(len(y), -1)
 
 
 def shot(
@@ -302,12 +307,19 @@ def started(c: Composed, f: Followed, m: Mapping[str, float], rounds: int) -> St
     for _ in range(rounds):
         lacking, slopes, x0, free = shot(c, f, m, x0)
         change = np.zeros_like(x0)
-        change[:, free] = _solved(slopes, lacking) * c.extended_ranges(f.ranges)[free]
-        moved = np.stack([x0, *(x0 + share * change for share in _SHARES)])
-        tried = off(f, simulated(c, f, m, np.concatenate(moved[1:]))).reshape(len(_SHARES), *lacking.shape)
-        tried = np.stack([lacking, *tried])
-        best, each = np.argmin(np.sum(tried**2, axis=2), axis=0), np.arange(len(x0))
-        lacking, x0 = tried[best, each], moved[best, each]
+        step = _solved(slopes, lacking)
+        change[:, free] = step * c.extended_ranges(f.ranges)[free]
+        tried, moved = off(f, simulated(c, f, m, x0 + change)), x0 + change
+        least = lacking - np.einsum("wvi,wi->wv", slopes, step)
+        now, promised, then = (np.sum(v**2, axis=1) for v in (lacking, least, tried))
+        if (rows := np.flatnonzero(then > promised + _AS_PROMISED * (now - promised))).size:
+            some, shorter = replace(f, first=f.first[rows]), x0[rows] + _SHORTER * change[rows]
+            less = off(some, simulated(c, some, m, shorter))
+            pays = np.sum(less**2, axis=1) < then[rows]
+            tried[rows[pays]], moved[rows[pays]] = less[pays], shorter[pays]
+            then = np.sum(tried**2, axis=1)
+        pays = then < now
+        lacking, x0 = np.where(pays[:, None], tried, lacking), np.where(pays[:, None], moved, x0)
     return Started(lacking, slopes, x0, free)
 
 

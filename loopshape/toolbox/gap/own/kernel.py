@@ -33,10 +33,10 @@ FIELDS = (
     VISCOUS_SPEED, VISCOUS_POWER, ASYMMETRY, COUPLING_HARDENING, MOTOR_DAMPING, VISCOUS_SQUARE,
     LOAD, DRIVEN_BACK, LOAD_STRIBECK, LOAD_SQUARE,
 ) = range(len(FIELDS))  # fmt: skip
-#: where a port is: indices of its input, position and speed, a row of an array (nports, 3)
-DRIVEN, POSITION, SPEED = 0, 1, 2
+#: where a port is: indices of its input, position and speed, and its own number, a row (nports, 4)
+DRIVEN, POSITION, SPEED, PORT = 0, 1, 2, 3
 
-_njit = numba.njit(nogil=True, error_model="numpy")
+_njit = numba.njit(nogil=True, error_model="numpy", _nrt=False)  # these make no arrays: counting references took most
 
 
 @_njit
@@ -110,69 +110,111 @@ def no_law(j, q, v, x, u, p):  # type: ignore[no-untyped-def]
 
 
 @_njit
-def _derivative(motion, law, t, x, u, p, f, places, nx, drive, dx):  # type: ignore[no-untyped-def]
-    """Derivatives dx of the extended state x under inputs u (nu,); `drive` is a buffer (nu,).
+def _driven(law, f, places, nx, x, u, p, drive, dx):  # type: ignore[no-untyped-def]
+    """What drives the model, `drive` (nu,), under inputs u and the forces at its ports, whose derivatives go to dx.
 
     Behind a coupling a law acts on the motor, and what the motion gives of it at the load is taken away.
     """
     for i in range(drive.size):
         drive[i] = u[i]
     for j in range(places.shape[0]):
-        q, v, k, a = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN]
-        if f[j, INERTIA] > 0.0:
-            through = coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
-            dx[k + MOTOR] = x[k + MOTOR_SPEED]
-            own = drive[a] + law(j, x[k + MOTOR], x[k + MOTOR_SPEED], x, u, p)
-            dx[k + MOTOR_SPEED] = (own - f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED] - through) / f[j, INERTIA]
-            drive[a] = through - law(j, q, v, x, u, p)
-        else:
-            dx[k + MOTOR] = 0.0
-            dx[k + MOTOR_SPEED] = 0.0
-        dx[k + BRISTLE] = 0.0
+        q, v, k, a, bent = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN], 0.0
+        if x.size > nx:
+            dx[k + BRISTLE] = dx[k + MOTOR] = dx[k + MOTOR_SPEED] = 0.0
+            bent = x[k + BRISTLE]
+            if f[j, INERTIA] > 0.0:
+                through = coupled(f, j, x[k + MOTOR] - q, x[k + MOTOR_SPEED] - v)
+                dx[k + MOTOR] = x[k + MOTOR_SPEED]
+                own = drive[a] + law(places[j, PORT], x[k + MOTOR], x[k + MOTOR_SPEED], x, u, p)
+                own -= f[j, MOTOR_DAMPING] * x[k + MOTOR_SPEED]
+                dx[k + MOTOR_SPEED] = (own - through) / f[j, INERTIA]
+                drive[a] = through - law(places[j, PORT], q, v, x, u, p)
         load = drive[a]
         if f[j, LOAD] != 0.0 or f[j, DRIVEN_BACK] != 0.0 or f[j, LOAD_SQUARE] != 0.0:
-            load += law(j, q, v, x, u, p)
-        drive[a] -= friction(f, j, v, x[k + BRISTLE], load) + resisting(f, j, q, v)
-    moved = motion(t, x, drive, p)
-    for i in range(nx):
-        dx[i] = moved[i]
+            load += law(places[j, PORT], q, v, x, u, p)
+        drive[a] -= friction(f, j, v, bent, load) + resisting(f, j, q, v)
 
 
-@_njit
+@numba.njit(nogil=True, error_model="numpy")
+def _buffers(wide: int, nu: int) -> tuple[Array, ...]:
+    """Of one window: state, that of a stage, slopes of four stages, its row of the inputs, and what drives it."""
+    x, mid, row, drive = np.empty(wide), np.empty(wide), np.empty(nu), np.empty(nu)
+    return x, mid, np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), row, drive
+
+
+@numba.njit(nogil=True, error_model="numpy")
 def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
-    """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu)."""
-    wide = x0.shape[1]
-    k1, k2, k3, k4, mid = np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide), np.empty(wide)
-    drive, h = np.empty(u.shape[1]), tick_s / steps
-    for w in range(x0.shape[0]):
-        x = x0[w].copy()
+    """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu).
+
+    x0 may be (windows, nx) where no port has bristles or a motor of its own.
+    """
+    wide, nu, h = x0.shape[1], u.shape[1], tick_s / steps
+    x, mid, k1, k2, k3, k4, row, drive = _buffers(wide, nu)
+    other_x, other_mid, other_k1, other_k2, other_k3, other_k4, other_row, other_drive = _buffers(wide, nu)
+    for one in range(0, x0.shape[0], 2):  # two at a time: while one waits for a result the other is computed
+        other = min(one + 1, x0.shape[0] - 1)
+        for i in range(wide):
+            x[i], other_x[i] = x0[one, i], x0[other, i]
         for n in range(out.shape[1]):
             for i in range(nx):
-                out[w, n, i] = x[i]
-            for j in range(places.shape[0]):
+                out[one, n, i], out[other, n, i] = x[i], other_x[i]
+            for j in range(places.shape[0] if wide > nx else 0):
                 if f[j, INERTIA] > 0.0:
-                    out[w, n, places[j, POSITION]] = x[nx + PER_PORT * j + MOTOR]
-            row = u[first[w] + n]
-            t = (first[w] + n) * tick_s
+                    motor = nx + PER_PORT * j + MOTOR
+                    out[one, n, places[j, POSITION]], out[other, n, places[j, POSITION]] = x[motor], other_x[motor]
+            for i in range(nu):
+                row[i], other_row[i] = u[first[one] + n, i], u[first[other] + n, i]
+            t, other_t = (first[one] + n) * tick_s, (first[other] + n) * tick_s
             for s in range(steps):
-                _derivative(motion, law, t + s * h, x, row, p, f, places, nx, drive, k1)
+                _driven(law, f, places, nx, x, row, p, drive, k1)
+                _driven(law, f, places, nx, other_x, other_row, p, other_drive, other_k1)
+                moved = motion(t + s * h, x, drive, p)
+                other_moved = motion(other_t + s * h, other_x, other_drive, p)
+                for i in range(nx):
+                    k1[i], other_k1[i] = moved[i], other_moved[i]
                 for i in range(wide):
-                    mid[i] = x[i] + 0.5 * h * k1[i]
-                _bend(f, places, nx, x, mid, 0.5 * h)
-                _derivative(motion, law, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k2)
+                    mid[i], other_mid[i] = x[i] + 0.5 * h * k1[i], other_x[i] + 0.5 * h * other_k1[i]
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, 0.5 * h)
+                    _bend(f, places, nx, other_x, other_mid, 0.5 * h)
+                _driven(law, f, places, nx, mid, row, p, drive, k2)
+                _driven(law, f, places, nx, other_mid, other_row, p, other_drive, other_k2)
+                moved = motion(t + (s + 0.5) * h, mid, drive, p)
+                other_moved = motion(other_t + (s + 0.5) * h, other_mid, other_drive, p)
+                for i in range(nx):
+                    k2[i], other_k2[i] = moved[i], other_moved[i]
                 for i in range(wide):
-                    mid[i] = x[i] + 0.5 * h * k2[i]
-                _bend(f, places, nx, x, mid, 0.5 * h)
-                _derivative(motion, law, t + (s + 0.5) * h, mid, row, p, f, places, nx, drive, k3)
+                    mid[i], other_mid[i] = x[i] + 0.5 * h * k2[i], other_x[i] + 0.5 * h * other_k2[i]
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, 0.5 * h)
+                    _bend(f, places, nx, other_x, other_mid, 0.5 * h)
+                _driven(law, f, places, nx, mid, row, p, drive, k3)
+                _driven(law, f, places, nx, other_mid, other_row, p, other_drive, other_k3)
+                moved = motion(t + (s + 0.5) * h, mid, drive, p)
+                other_moved = motion(other_t + (s + 0.5) * h, other_mid, other_drive, p)
+                for i in range(nx):
+                    k3[i], other_k3[i] = moved[i], other_moved[i]
                 for i in range(wide):
-                    mid[i] = x[i] + h * k3[i]
-                _bend(f, places, nx, x, mid, h)
-                _derivative(motion, law, t + (s + 1) * h, mid, row, p, f, places, nx, drive, k4)
+                    mid[i], other_mid[i] = x[i] + h * k3[i], other_x[i] + h * other_k3[i]
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, h)
+                    _bend(f, places, nx, other_x, other_mid, h)
+                _driven(law, f, places, nx, mid, row, p, drive, k4)
+                _driven(law, f, places, nx, other_mid, other_row, p, other_drive, other_k4)
+                moved = motion(t + (s + 1) * h, mid, drive, p)
+                other_moved = motion(other_t + (s + 1) * h, other_mid, other_drive, p)
+                for i in range(nx):
+                    k4[i], other_k4[i] = moved[i], other_moved[i]
                 for i in range(wide):
                     mid[i] = x[i] + h / 6.0 * (k1[i] + 2.0 * (k2[i] + k3[i]) + k4[i])
-                _bend(f, places, nx, x, mid, h)
+                    other_mid[i] = other_x[i] + h / 6.0 * (
+                        other_k1[i] + 2.0 * (other_k2[i] + other_k3[i]) + other_k4[i]
+                    )
+                if wide > nx:
+                    _bend(f, places, nx, x, mid, h)
+                    _bend(f, places, nx, other_x, other_mid, h)
                 for i in range(wide):
-                    x[i] = mid[i]
+                    x[i], other_x[i] = mid[i], other_mid[i]
 
 
 def compiled(motion: Callable[..., Any]) -> Callable[..., Any]:
