@@ -288,6 +288,7 @@ def main() -> None:
     runs()
     tuning()
     campaign()
+    gap()
 
 
 def start_up() -> None:
@@ -365,6 +366,14 @@ def campaign() -> None:
     line("  two such at once, a recording", two_bare, f"s, {bare / two_bare:.2f} times as fast")
     line("campaign, a recording of 100 s, one worker", one, f"s, {one / bare:.2f} times its simulation in memory")
     line("  two workers", two, f"s, {one / two:.2f} times as fast, {two / two_bare:.2f} times two simulations at once")
+
+
+def gap() -> None:
+    """The diagnosis of a user's own machine against its simulations, as many ticks of the equations alone."""
+    from gap_workload import seconds
+
+    whole, simulations = seconds()
+    line("gap of a user's own axis, 60 s at 500 Hz", whole, f"s of one core, {whole / simulations:.2f} of simulations")
 
 
 def line(what: str, value: float, unit: str) -> None:
