@@ -359,7 +359,7 @@ def runs() -> None:
 
 def campaign() -> None:
     """A campaign's recording of 100 s, written, against its simulation alone, on one worker and on two."""
-    from campaign_workload import table
+    from toolbox.campaign_workload import table
 
     bare, two_bare, one, two = table()
     line("a recording of 100 s simulated in memory", bare, "s")
@@ -370,7 +370,7 @@ def campaign() -> None:
 
 def gap() -> None:
     """The diagnosis of a user's own machine against its simulations, as many ticks of the equations alone."""
-    from gap_workload import seconds
+    from toolbox.gap_workload import seconds
 
     whole, simulations = seconds()
     line("gap of a user's own axis, 60 s at 500 Hz", whole, f"s of one core, {whole / simulations:.2f} of simulations")

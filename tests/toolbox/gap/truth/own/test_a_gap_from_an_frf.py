@@ -1,16 +1,14 @@
 """A machine of which an FRF alone was measured: its formula with one thing changed and noise, and a linear model."""
 
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from commands import loopshape
 from scipy.linalg import expm
 
 import loopshape as ls
-from loopshape.cli.main import run as command
-from loopshape.core.errors import WrongUseError
 from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
 from loopshape.toolbox.gap.own.linear import followable
 
@@ -144,24 +142,24 @@ def with_friction(t, x, u, p):
 
 def test_a_model_that_is_not_linear_is_refused():
     bent = Model("winch", with_friction, MODEL.states, PARAMETERS, MODEL.inputs, MODEL.outputs, MODEL.ports)
-    with pytest.raises(WrongUseError, match=r"FRF.*linear model.*record in time"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"FRF.*linear model.*record in time"):
         ls.gap(frf_of(), model=bent)
 
 
 def test_an_frf_without_error_other_columns_or_too_few_lines_is_refused():
-    with pytest.raises(WrongUseError, match=r"error.*relative-std"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"error.*relative-std"):
         ls.gap(frf_of(std=0.0), model=MODEL)
     other = ls.FRF.from_arrays([1.0, 2.0], [1j, 1.0], relative_std=0.1, inputs=("u_v",), outputs=("lever_rad",))
-    with pytest.raises(WrongUseError, match=r"u_v.*torque_nm"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"u_v.*torque_nm"):
         ls.gap(other, model=MODEL)
-    with pytest.raises(WrongUseError, match="lines"):
+    with pytest.raises(ls.errors.WrongUseError, match="lines"):
         ls.gap(frf_of(lines=10), model=MODEL)
-    with pytest.raises(WrongUseError, match="model of your own"):
+    with pytest.raises(ls.errors.WrongUseError, match="model of your own"):
         ls.gap(frf_of())
 
 
 @pytest.mark.long
-def test_a_folder_of_import_frf_is_diagnosed_by_the_command(tmp_path, monkeypatch):
+def test_a_folder_of_import_frf_is_diagnosed_by_the_command(tmp_path):
     frf = frf_of(inertia=0.006)
     f, g = frf.frequency_hz, frf.siso
     table = np.column_stack([f, g.real, g.imag])
@@ -172,17 +170,11 @@ def test_a_folder_of_import_frf_is_diagnosed_by_the_command(tmp_path, monkeypatc
         "damping = { value = 0.05, tolerance = 0.1 }\nspring = { value = 0.8, tolerance = 0.03 }\n"
     )
 
-    def loopshape(*words):
-        monkeypatch.setattr(sys, "argv", ["loopshape", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            command()
-        return ended.value.code or 0
-
     names = ("--inputs", "torque_nm", "--outputs", "lever_rad", "--relative-std", "0.01")
-    assert loopshape("import-frf", tmp_path / "bench.csv", "--out", tmp_path / "bench", *names) == 0
+    assert loopshape("import-frf", tmp_path / "bench.csv", "--out", tmp_path / "bench", *names).returncode == 0
     answer = tmp_path / "gap.json"
     words = ("--model", tmp_path / "model.toml", "--save-answer", answer)
-    assert loopshape("gap", tmp_path / "bench", *words, "--report", tmp_path / "gap.png") == 0
+    assert loopshape("gap", tmp_path / "bench", *words, "--report", tmp_path / "gap.png").returncode == 0
     found = json.loads(answer.read_text())
     assert found["verdict"].startswith("payload@")
     assert abs(sum(r["probability"] for r in found["ranking"]) - 1.0) < 1e-6

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
+from bench_nouns import RecordingInfo
 
 import loopshape as ls
-from loopshape.data.signal.recording import Recording, RecordingInfo
-from loopshape.data.signal.run import Run
 
 mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 RATE_HZ, STEPS = 250.0, 8
@@ -60,7 +59,7 @@ def recorded(k, role, **coupling):
     goal, rng = goal_of(k), np.random.default_rng(50 + k)
     read = stepped(XML.format(twist='<joint name="twist" axis="0 1 0"/>'), goal, **coupling)
     info = RecordingInfo(f"r{k}.parquet", "noise", "control", role=role)
-    return Recording(info, RATE_HZ, {"goal_rad": goal, "a_rad": read + 2e-5 * rng.standard_normal(goal.size)})
+    return ls.Recording(info, RATE_HZ, {"goal_rad": goal, "a_rad": read + 2e-5 * rng.standard_normal(goal.size)})
 
 
 @pytest.mark.long
@@ -68,7 +67,7 @@ def test_a_spring_behind_a_position_servo_is_named_with_its_size_and_its_mjcf_mo
     (tmp_path / "servo.xml").write_text(XML.format(twist=""))
     (tmp_path / "model.toml").write_text(TOML)
     roles = {0: "estimation", 1: "estimation", 2: "estimation", 9: "validation"}
-    run = Run(RATE_HZ, (), [recorded(k, role, stiff=15.0) for k, role in roles.items()])
+    run = ls.Run(RATE_HZ, (), [recorded(k, role, stiff=15.0) for k, role in roles.items()])
     found = ls.gap(run, model=tmp_path / "model.toml", table=False)
     assert found.verdict == "joint_flexibility@hinge"
     assert found.ranking[0].magnitude == pytest.approx(15.0, rel=0.15)
