@@ -1,4 +1,4 @@
-"""The diagnosis of a user's own machine for benchmarks: a driven axis whose friction the model lacks, 60 s at 500 Hz."""
+"""The diagnosis of a user's own machine for benchmarks: an axis whose friction its model lacks, 60 s at 500 Hz."""
 
 from __future__ import annotations
 
