@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 if TYPE_CHECKING:
     from loopshape.data.signal.experiment import Experiment
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from loopshape.toolbox.rig.target.messages import Identity
 
 
+@runtime_checkable
 class Watch(Protocol):
     """What is reported while work goes on."""
 

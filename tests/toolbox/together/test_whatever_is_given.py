@@ -2,6 +2,7 @@
 """Whatever is given to a public function or noun ends in an answer or in a sentence, never in another's exception."""
 
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 
 import control
@@ -228,6 +229,34 @@ def test_a_list_stands_for_a_tuple(band_hz):
 def test_a_weight_too_large_for_a_number_is_refused_in_a_sentence():
     with pytest.raises(ls.LoopshapeError, match="must be finite"):
         ls.Weight("S", 10**400)
+
+
+class Told:
+    """A watch of one's own, as `ls.estimate` and others take it."""
+
+    def __init__(self):
+        self.lines, self.steps = [], []
+
+    def say(self, line):
+        self.lines.append(line)
+
+    def warn(self, lines):
+        self.lines.extend(lines)
+
+    @contextmanager
+    def progress(self, label, total):
+        yield self.steps.append
+
+
+def test_a_watch_is_told_and_what_is_none_is_refused():
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(4000)
+    y = np.convolve(u, 0.5 ** np.arange(20))[:4000]
+    run, watch = ls.Run.from_arrays(u=u, y=y, rate_hz=100.0), Told()
+    assert ls.estimate(run, watch=watch).frfs
+    assert watch.steps
+    with pytest.raises(ls.LoopshapeError, match="watch"):
+        ls.estimate(run, watch="loudly")
 
 
 def test_a_plant_without_poles_is_checked():
