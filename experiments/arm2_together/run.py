@@ -16,6 +16,7 @@ from loopshape.identify.matrix.interaction import interaction
 from loopshape.io.write.controllers import write_controllers
 from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.arm.arm2 import Arm2
+from loopshape.toolbox.diagrams.decoupling.decouple import Decoupling
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 
@@ -76,7 +77,7 @@ def coupling_rows(plants: Mapping[str, ls.FRF]) -> Iterable[Sequence[object]]:
                    v.high_db, lowest)  # fmt: skip
 
 
-def matrix_rows(W: ls.Decoupling) -> Iterable[Sequence[object]]:
+def matrix_rows(W: Decoupling) -> Iterable[Sequence[object]]:
     """What each loop's input gets of each controller, with half its 95 % interval."""
     yield "enters", "of", "weight", "reach_95"
     for i, j in np.ndindex(W.matrix.shape):
