@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from loopshape.core.errors import WrongUseError
+from loopshape.data.algebra import controller_frf
 from loopshape.data.control.controller import Controller
+from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import Interaction
@@ -28,10 +32,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from loopshape.data.control.loop import Loop
+    from loopshape.data.response.model import Fit
     from loopshape.design.tune import Tuning
 
     Plants = FRF | Sequence[FRF] | Diagram
+
+
+#: frequencies of a controller's own picture, of its rate
+GRID = np.geomspace(1e-4, 0.4999, 360)
 
 
 def _loops(P: Plants, C: Controller | Tuning, R: Requirements | None) -> list[Loop]:
@@ -49,7 +57,8 @@ class Plots:
     __name__ = "loopshape.plot"
 
     def __call__(self, thing: object) -> Figure:
-        """The picture that suits one thing: a FRF, an interaction, a verdict, a prediction, or a toolbox's noun.
+        """The picture that suits one thing: an FRF, a loop, a controller or a tuning, an interaction, a verdict, a
+        prediction, or a toolbox's noun.
 
         Raises WrongUseError for what has none.
         """
@@ -58,6 +67,10 @@ class Plots:
                 return self.frf(thing)
             case FRF():
                 return self.matrix(thing)
+            case Loop():
+                return bode_page(thing, None)
+            case Controller():
+                return self.frf(controller_frf(thing, thing.rate_hz * GRID, ("e",), ("z",)))
             case Interaction():
                 return self.interaction(thing)
             case Prediction():
@@ -66,6 +79,8 @@ class Plots:
                 return self.prediction(thing)
             case Verdict() if thing.lines:
                 return margins_map(thing)
+            case object(controller=Controller() as tuned):
+                return self(tuned)
         if callable(draw := getattr(thing, "figure", None)):
             made: Figure = draw()
             return made
@@ -73,9 +88,9 @@ class Plots:
         raise WrongUseError(what, type(thing).__name__, "a loop is drawn by ls.plot.bode(P, C), .nyquist and .nichols")
 
     @staticmethod
-    def frf(P: FRF) -> Figure:
-        """Magnitude, phase and coherence of one FRF over frequency, with 95 % bands and the valid band."""
-        return frequency.frf_page(P)
+    def frf(P: FRF, fit: Fit | None = None) -> Figure:
+        """Magnitude, phase and coherence of one FRF over frequency, with 95 % bands and the valid band; with a fit."""
+        return frequency.frf_page(P, fit)
 
     @staticmethod
     def matrix(P: FRF) -> Figure:
@@ -121,9 +136,15 @@ class Plots:
 
     @staticmethod
     def bode(
-        P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, verdict: Verdict | None = None
+        P: Plants,
+        C: Controller | Tuning | None = None,
+        R: Requirements | None = None,
+        *,
+        verdict: Verdict | None = None,
     ) -> Figure:
-        """Plant, controller, open loop, |S| and |T| over frequency, with bands and limits."""
+        """Plant, controller, open loop, |S| and |T| over frequency, with bands and limits; without C one FRF."""
+        if C is None:
+            return plot(P)
         found = _loops(P, C, R)
         if len(found) == 1:
             return bode_page(found[0], R, verdict=verdict)

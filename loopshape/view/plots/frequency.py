@@ -181,12 +181,13 @@ def _beside(phase_deg: Array, f_hz: Array, frf: FRF) -> Array:
 
 @styled()
 def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
-    """One FRF on a page: magnitude and phase at the left, power spectra and coherence at the right.
+    """One FRF on a page: magnitude and phase, and where it was measured power spectra and coherence at the right.
 
     The layout is that of figure 4.12 of van den Brink, DCT 2007.002; the valid band is shaded.
     """
-    figure = new_figure(2, 2, (FULL_WIDTH_IN, 4.9), sharex=True)
-    a, c, b, d = figure.axes
+    measured = any(x is not None for x in (frf.coherence, frf.input_power, frf.output_power))
+    figure = new_figure(2, 1 + measured, (FULL_WIDTH_IN, 4.9), sharex=True)
+    (a, *c, b), d = (figure.axes[:3], figure.axes[3:]) if measured else (figure.axes, [])
     magnitude(frf, ax=a, label="measured, 95 % band")
     if frf.noise_covariance is not None:
         deviations(frf, ax=a)
@@ -194,8 +195,8 @@ def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
         a.set_ylim(low, high + 0.35 * (high - low))  # room for the legend
         a.legend(loc="upper right", fontsize=7.0)
     phase(frf, ax=b)
-    spectra(frf, ax=c)
-    coherence(frf, ax=d)
+    for right, draw in zip((*c, *d), (spectra, coherence), strict=False):
+        draw(frf, ax=right)
     if fit is not None:
         fitted(fit, frf, ax=(a, b))
         a.legend(loc="lower left")
@@ -203,9 +204,9 @@ def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
         fit_degrees(b)
         low, high = a.get_ylim()
         a.set_ylim(low - 0.2 * (high - low), high)  # room for the legend
-    for ax in (a, b, c, d):
+    for ax in figure.axes:
         shade_band(frf, ax=ax)
-    hide_inner(a, c)
+    hide_inner(a, *c)
     head(figure, _title(frf), frf.method, *_fit_lines(fit), *frf.notes)
     return figure
 
