@@ -136,8 +136,8 @@ def test_the_command_predicts_from_another_run(tmp_path):
     words = [str(tmp_path / w) if w in ("plant", "still", "c.toml", "r.toml") else w for w in words]
     done = invoked([*words, "--json"])
     (line,) = json.loads(done.stdout)["loops"][0]["lines"]
-    assert line["found"] == pytest.approx(true_rms(NEW), rel=0.1)
-    assert line["interval"][0] < line["found"] < line["interval"][1]
+    assert line["value"] == pytest.approx(true_rms(NEW), rel=0.1)
+    assert line["interval"][0] < line["value"] < line["interval"][1]
     assert "error_rms" in invoked(words).stdout
 
 
