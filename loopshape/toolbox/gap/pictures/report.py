@@ -52,8 +52,9 @@ def gap_figure(report: GapReport) -> Figure:
         above, below = parts[2].subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.7, 1.0]})
         trace = plainest(report)
         stretch(report, trace, ax=above)
-        _headed(above, "d", "How it looks", f"recording {trace.recording}")
+        _headed(above, "d", "How it looks", "")
         errors(report, trace, ax=below)
+        below.set_xlabel(f"time [s] of recording {trace.recording}")
         above.tick_params(labelbottom=False)
         parts[2].align_ylabels()
     if curves:
