@@ -240,9 +240,9 @@ def test_pictures_take_nouns_and_an_axes() -> None:
     assert len(ls.plot.frf(P).axes) >= 2
     loop = ls.Loop(P, C)
     assert len(ls.plot(loop).axes) == len(ls.plot.bode(P, C).axes)
-    left, below = ls.plot.bode(loop.sensitivity).axes  # neither spectra nor coherence: no empty panel
+    left, _ = ls.plot.bode(loop.sensitivity).axes  # neither spectra nor coherence: no empty panel
     np.testing.assert_allclose(left.lines[0].get_ydata(), 20.0 * np.log10(np.abs(1.0 / (1.0 + loop.L))), atol=1e-9)
-    left, below = ls.plot(C).axes
+    left, _ = ls.plot(C).axes
     f = left.lines[0].get_xdata()
     np.testing.assert_allclose(left.lines[0].get_ydata(), 20.0 * np.log10(np.abs(C.response(f))), atol=1e-9)
     plt.close("all")

@@ -12,10 +12,10 @@ from bench_nouns import (
     Block,
     Estimate,
     Free,
-    Line,
     Multisine,
     Prbs,
     Profile,
+    RequirementResult,
     Staircase,
     Sweep,
     TransferFunction,
@@ -168,8 +168,8 @@ def margins(stable):
 
 def test_junit(tmp_path):
     lines = (
-        Line("phase_margin_deg", "deg", 45.0, 50.0, 5.0, "passed", "r01", 3.0),
-        Line("sensitivity_peak_db", "dB", 6.0, 8.4, -2.4, "failed", "r02", None),
+        RequirementResult("phase_margin_deg", "deg", 45.0, 50.0, 5.0, "passed", "r01", 3.0),
+        RequirementResult("sensitivity_peak_db", "dB", 6.0, 8.4, -2.4, "failed", "r02", None),
     )
     made = ls.Verdict("theta2", lines, {"r01": margins("stable"), "r02": margins("undecided")}, ("be careful",))
     write_junit(tmp_path / "j.xml", (made, replace(made, loop="p_ab")))

@@ -20,7 +20,7 @@ from mutations import mutated
 from scipy.io import savemat
 from wide_bench import commands, prepare
 
-from loopshape.io import files, seen
+from loopshape.io import files, input_guard
 
 LIMIT_S = 20.0
 KINDS = ("csv.gz", "npz", "mat", "h.mat", "mf4", "parquet")
@@ -121,7 +121,7 @@ def told(folder, name):
     def late(*_):
         raise TooLate
 
-    seen._noted, seen._alone = None, 0
+    input_guard._noted, input_guard._alone = None, 0
     files.clear.cache_clear()
     signal.signal(signal.SIGALRM, late)
     signal.setitimer(signal.ITIMER_REAL, LIMIT_S)

@@ -12,7 +12,7 @@ import pytest
 from bench import command
 from wide_bench import commands, prepare
 
-from loopshape.io import files, held
+from loopshape.io import files, folder_lock
 
 #: what changes files that others read
 WRITERS = ("import --replace", "import another", "frf otherwise", "fit otherwise", "tune", "predict")
@@ -83,7 +83,7 @@ def gated(at, then, passed=None):
 
     files.look = gate("read", files.look)
     files._sync = gate("write", files._sync)
-    held._open = gate("take", held._open)
+    folder_lock._open = gate("take", folder_lock._open)
 
 
 def state(folder):
