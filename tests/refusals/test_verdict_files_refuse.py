@@ -61,6 +61,13 @@ def test_a_file_of_the_first_version_is_read_in_the_words_of_this_one():
     assert one.verdict.margins["type-a"].detuning.lost.required == 5.999999999999998
 
 
+def test_an_operating_point_of_the_first_version_keeps_its_name(tmp_path):
+    text = (Path(__file__).parent / "data" / "verdict_1.json").read_text()
+    (tmp_path / "v.json").write_text(text.replace('"type-a"', '"found"'))
+    (one,) = read_verdicts(tmp_path / "v.json")
+    assert [*one.data] == [*one.verdict.margins] == ["found"]
+
+
 def test_a_file_without_a_verdict(kept):
     changed(kept, lambda data, _: data.update(loops=[]))
     refused(kept, "holds no verdict")

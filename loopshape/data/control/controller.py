@@ -171,7 +171,8 @@ class Controller:
         """
         if not isinstance(other, Controller):
             return NotImplemented
-        alike = ("rate_hz", "discretisation", "prewarp_hz", "added_hold", "precision")
+        alike: tuple[str, ...] = ("rate_hz", "discretisation", "prewarp_hz", "added_hold", "precision")
+        alike += ("loop",) if self.loop and other.loop else ()
         if differ := [name for name in alike if getattr(self, name) != getattr(other, name)]:
             raise WrongUseError(
                 "controllers in series run alike",

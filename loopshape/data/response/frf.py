@@ -224,6 +224,8 @@ class FRF:
         rate = f", rate {self.rate_hz:g} Hz" if self.rate_hz else ""
         return f"FRF{f' {of}' if of else ''}: {f.size} frequencies, {f[0]:.4g} to {f[-1]:.4g} Hz{valid}, {size}{rate}"
 
+    __array_ufunc__ = None  # an array times an FRF is no array of FRFs
+
     def __mul__(self, other: FRF | Controller | complex) -> FRF:
         """P Q or P C, what stands on the right comes first (a controller as it runs), or P times a number."""
         return _series(self, other)

@@ -75,11 +75,13 @@ def read_verdicts(path: Path) -> tuple[Checked, ...]:
     return verdicts
 
 
-def _upgraded(data: Any) -> Any:
-    """A file of the first version in the words of this one; a damaged one stays damaged."""
+def _upgraded(data: Any, by_name: bool = False) -> Any:
+    """A file of the first version in the words of this one, keys that are names as they are; a damaged one stays so."""
     if isinstance(data, list):
         return [_upgraded(one) for one in data]
-    return {_BEFORE.get(key, key): _upgraded(one) for key, one in data.items()} if isinstance(data, dict) else data
+    if not isinstance(data, dict):
+        return data
+    return {k if by_name else _BEFORE.get(k, k): _upgraded(v, k in ("data", "margins")) for k, v in data.items()}
 
 
 def _read(table: Mapping[str, Any], where: str) -> Checked:

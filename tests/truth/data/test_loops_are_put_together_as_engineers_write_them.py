@@ -32,6 +32,13 @@ def test_controllers_that_run_otherwise_are_not_put_in_series(changed):
         GAIN * ls.controller(ls.gain(1.0), **changed)
 
 
+def test_controllers_of_two_loops_are_not_put_in_series():
+    one, other = (ls.controller(ls.gain(2.0), rate_hz=1000.0, loop=name) for name in ("x", "y"))
+    assert (one * GAIN).loop == (GAIN * one).loop == "x"
+    with pytest.raises(ls.LoopshapeError, match=r"controllers in series run alike; received loop = 'x' and 'y'"):
+        one * other
+
+
 def test_open_loop_sum_and_multiples_with_their_errors():
     c = C.response(F)
     for L in (P * C, C * P):
@@ -41,7 +48,7 @@ def test_open_loop_sum_and_multiples_with_their_errors():
     np.testing.assert_allclose((P + Q).siso, PLANT + 1.0 / S, rtol=1e-12)
     np.testing.assert_allclose(std(P - Q), np.hypot(std(P), std(Q)), rtol=1e-9)
     np.testing.assert_allclose((P * Q).siso, PLANT / S, rtol=1e-12)
-    for twice in (2.0 * P, P * 2.0, -(-2.0 * P)):
+    for twice in (2.0 * P, P * 2.0, -(-2.0 * P), np.float64(2.0) * P):
         np.testing.assert_allclose(twice.siso, 2.0 * PLANT, rtol=1e-12)
         np.testing.assert_allclose(std(twice), 2.0 * std(P), rtol=1e-12)
 
@@ -67,8 +74,10 @@ def test_the_closed_loop_is_that_of_python_control_and_of_draws():
 
 
 def test_what_does_not_multiply_is_refused_by_python():
-    for other in ("C", None, [1.0]):
+    for other in ("C", None, [1.0], np.array([1.0, 2.0])):
         with pytest.raises(TypeError):
             P * other
+        with pytest.raises(TypeError):
+            other * P
         with pytest.raises(TypeError):
             C * other
