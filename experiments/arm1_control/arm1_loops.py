@@ -98,7 +98,7 @@ def judge(name: str, every: Sequence[Found], controller: Controller) -> Judged:
     """Margins, with intervals, of one controller at all of an arm's equilibria."""
     frfs = [f.frf for f in every]
     verdict = check(frfs, controller, required(controller.loop), [f.fit for f in every])
-    loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
+    loops = tuple(Loop(frf.valid_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(every[0].arm, name, loops, verdict)
 
 
@@ -106,7 +106,7 @@ def judge_identical(every: Sequence[Found], controller: Controller) -> Judged:
     """The same with each FRF scaled to the printed kappa: the identical mass line that the source reports."""
     frfs = [scaled(f.frf, value("figure_4_12.kappa") / f.value("kappa")) for f in every]
     verdict = check(frfs, controller, replace(required(controller.loop), integrators=1, unstable_poles=0))
-    loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
+    loops = tuple(Loop(frf.valid_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(every[0].arm, "source, kappa alike", loops, verdict)
 
 
@@ -128,7 +128,7 @@ def pressure_loop(study: Study, arm: Arm, controller: Controller) -> Judged:
     run, recordings = recorded(own, arm)
     frfs = [estimate_frf(recording, run.loop("p_ab")) for recording in recordings]
     verdict = check(frfs, controller, replace(required("p_ab"), integrators=1))
-    loops = tuple(Loop(frf.trusted_lines(), controller, 1, unstable_poles=0) for frf in frfs)
+    loops = tuple(Loop(frf.valid_lines(), controller, 1, unstable_poles=0) for frf in frfs)
     return Judged(arm, "table 5.2", loops, verdict)
 
 

@@ -51,7 +51,7 @@ def draw_frfs(arms: Sequence[Sequence[Found]]) -> Figure:
 
 
 def _bode(top: Axes, bottom: Axes, f: Found, **look: Any) -> None:
-    mine = f.frf.trusted_lines()
+    mine = f.frf.valid_lines()
     top.semilogx(mine.frequency_hz, db(mine.siso), **look)
     bottom.semilogx(mine.frequency_hz, unwrapped_deg(mine.siso), **look)
 

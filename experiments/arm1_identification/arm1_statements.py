@@ -243,7 +243,7 @@ def _band(f: Found, rules: Mapping[str, float]) -> Score:
     covered = low <= required[0] * 1.1 and high >= required[1] * 0.9
     return Score("figure 4.12", "band of good coherence", "{identification.coherent_from} to "
                  "{identification.coherent_to}", f"coherence above {rules['coherent']:g} from {low:.2f} to "
-                 f"{high:.1f} Hz; trusted to 10 % {f.frf.trusted_band_hz[0]:.2f} to {f.frf.trusted_band_hz[1]:.1f} Hz",
+                 f"{high:.1f} Hz; valid to 10 % {f.frf.valid_band_hz[0]:.2f} to {f.frf.valid_band_hz[1]:.1f} Hz",
                  AGREES if covered else PARTLY, "the source prints neither amplitude nor length of its sweeps; "
                  "ends within 10 % count")  # fmt: skip
 

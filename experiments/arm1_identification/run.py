@@ -30,8 +30,8 @@ from loopshape.view.style import png  # noqa: E402
 FIGURES = HERE.parent.parent / "figures" / HERE.name
 COLUMNS = (
     "arm", "theta2_deg", "p_ab_bar", "supply_bar", "kappa", "kappa_low", "kappa_high", "f_hz", "f_low", "f_high",
-    "zeta", "zeta_low", "zeta_high", "misfit_db", "coherent_from_hz", "coherent_to_hz", "trusted_from_hz",
-    "trusted_to_hz", "kappa_linear", "f_linear_hz", "zeta_linear",
+    "zeta", "zeta_low", "zeta_high", "misfit_db", "coherent_from_hz", "coherent_to_hz", "valid_from_hz",
+    "valid_to_hz", "kappa_linear", "f_linear_hz", "zeta_linear",
 )  # fmt: skip
 LOOPS = ("arm", "theta2_deg", "p_ab_bar", "pressure_gain", "kappa", "f_hz", "zeta", "zeta_low", "zeta_high",
          "zeta_linear")  # fmt: skip
@@ -80,7 +80,7 @@ def slow_pressure(study: Study, settings: Mapping[str, Any]) -> list[list[Any]]:
 def by_hand(recording: Recording, f: Found, gain: float, rules: Mapping[str, float]) -> list[Any]:
     """The estimate by (4.9) written out, against the workbench's, on the lines that this trusts."""
     lines, H = by_formula_4_9(recording, gain, rules["segment_s"])
-    mine = f.frf.trusted_lines()
+    mine = f.frf.valid_lines()
     at = np.interp(mine.frequency_hz, lines, H)
     rms = float(np.sqrt(np.mean(np.abs(at / mine.siso - 1.0) ** 2)))
     low, high = f.coherent_band_hz(rules["coherent"])
@@ -95,7 +95,7 @@ def row(f: Found, coherent: float) -> list[Any]:
     for name, form in (("kappa", ".0f"), ("f_hz", ".3f"), ("zeta", ".4f")):
         cells += [format(x, form) for x in (f.value(name), *f.interval(name))]
     cells += [f"{f.fit.misfit_db:.2f}", *(f"{x:.2f}" for x in f.coherent_band_hz(coherent))]
-    cells += [f"{x:.2f}" for x in f.frf.trusted_band_hz]
+    cells += [f"{x:.2f}" for x in f.frf.valid_band_hz]
     kappa, f_hz, zeta = f.linear.third_order()
     return [*cells, f"{kappa:.0f}", f"{f_hz:.3f}", f"{zeta:.4f}"]
 

@@ -89,8 +89,8 @@ def analysed(run: Run, recordings: Sequence[Recording], name: str) -> Found:
     law = valves(lin.fill, lin.exhaust, pressures(NUMBERS, theta, p_ab))
     u = np.concatenate([np.stack([r.column(c)[::20] for c in ("u_a_v", "u_b_v")], axis=1) for r in mine])
     replay = replayed(run, mine, LOOPS, plant(lin), law, f, "ab")
-    low, high = frf.trusted_band_hz
-    print(f"{point}, {name}: stood at {theta:.2f} deg, {p_ab:.3f} bar, trusted {low:.3g} to {high:.3g} Hz")
+    low, high = frf.valid_band_hz
+    print(f"{point}, {name}: stood at {theta:.2f} deg, {p_ab:.3f} bar, valid {low:.3g} to {high:.3g} Hz")
     bare = linearise(NUMBERS, **point).response(f)
     return Found(name, frf, interaction(frf, LOOPS, known, bands=BANDS), bare, replay, best_gains(law, u))
 
@@ -115,7 +115,7 @@ def bands(one: Found) -> list[list]:
     """A line a band: verdict, k_I of the linear plants at its line, span of the RGA, what closing p_AB changes."""
     rows, f = [], one.frf.frequency_hz
     for v in one.met.verdicts:
-        use = (f >= v.band_hz[0]) & (f <= v.band_hz[1]) & one.frf.trusted
+        use = (f >= v.band_hz[0]) & (f <= v.band_hz[1]) & one.frf.valid
         there = int(np.argmin(np.abs(f - v.at_hz))) if np.isfinite(v.at_hz) else 0
         own = np.abs(one.met.relative_gain.gain[use, 0, 0])
         change = np.abs(db(one.met.equivalents[0].ratio[use]))
@@ -151,9 +151,9 @@ ELEMENTS = (
 
 
 def elements(one: Found) -> list[list]:
-    """A line an element, medians over 0.5 to 10 Hz of trusted lines."""
+    """A line an element, medians over 0.5 to 10 Hz of valid lines."""
     frf, rows = one.frf, []
-    use = frf.trusted & (frf.frequency_hz >= 0.5)
+    use = frf.valid & (frf.frequency_hz >= 0.5)
     for i, j in np.ndindex(2, 2):
         H, std = frf.response[use, i, j], np.sqrt(frf.variance[use, i, j])
         over, errors = H / one.bare[use, i, j], [np.abs(H / P[use, i, j] - 1.0) for P in (one.bare, one.replay)]

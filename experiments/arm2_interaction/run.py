@@ -108,10 +108,8 @@ def analysed(run: Run, recordings: Sequence[Recording], name: str) -> Found:
     lin = linearise2(NUMBERS, *where)
     replay = replayed(run, mine, loops, plant(lin), law(lin, where), frf.frequency_hz, "abcd")
     most = max(float(np.abs(r.column(f"u_{m}_v")).max()) for r in mine for m in "abcd")
-    print(
-        f"p_C {point[3]:g} bar, {name}: stood at {np.round(where, 3).tolist()}, largest |u| {most:.2f} V, trusted from"
-    )
-    print(f"    {frf.trusted_band_hz[0]:.3g} to {frf.trusted_band_hz[1]:.3g} Hz; {frf.method}")
+    print(f"p_C {point[3]:g} bar, {name}: stood at {np.round(where, 3).tolist()}, largest |u| {most:.2f} V, valid from")
+    print(f"    {frf.valid_band_hz[0]:.3g} to {frf.valid_band_hz[1]:.3g} Hz; {frf.method}")
     return Found(name, point[3], frf, interaction(frf, loops, controllers, bands=BANDS), bare, replay)
 
 

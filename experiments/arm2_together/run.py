@@ -71,7 +71,7 @@ def coupling_rows(plants: Mapping[str, ls.FRF]) -> Iterable[Sequence[object]]:
     """The largest |k_I| of each pair of loops in each band with its 95 %, and the verdict."""
     yield "plant", "loops", "band_hz", "verdict", "low_db", "k_i_db", "high_db", "lowest_valid_hz"
     for name, P in plants.items():
-        lowest = float(P.frequency_hz[P.trusted].min())
+        lowest = float(P.frequency_hz[P.valid].min())
         for v in interaction(P, bands=BANDS_HZ).verdicts:
             yield (name, "+".join(v.loops), f"{v.band_hz[0]:g}-{v.band_hz[1]:g}", v.verdict, v.low_db, v.estimate_db,
                    v.high_db, lowest)  # fmt: skip

@@ -52,7 +52,7 @@ def main() -> None:
 def compare(run: Run, recording: Recording) -> tuple[list, tuple]:
     """One line of the table, and what the figure needs."""
     frf = estimate_frf(recording, run.loop("theta2"))
-    frf = frf.select(frf.trusted & (frf.frequency_hz >= 0.3) & (frf.frequency_hz <= 10.0))
+    frf = frf.select(frf.valid & (frf.frequency_hz >= 0.3) & (frf.frequency_hz <= 10.0))
     point = recording.info.operating_point
     bare = linearise(constants(ARM1_PARAMETERS.vector()), **point).response(frf.frequency_hz)[:, 0, 0]
     corrected = expected_angle_response(frf, recording, run.loop("p_ab"))

@@ -102,8 +102,8 @@ def own_ones(
 
 
 def rejection_db(frf: FRF, controller: Controller, below_hz: float) -> float:
-    """Mean of 1/|S| in dB on the trusted lines up to a frequency."""
-    lines = frf.trusted_lines()
+    """Mean of 1/|S| in dB on the valid lines up to a frequency."""
+    lines = frf.valid_lines()
     low = lines.frequency_hz <= below_hz
     return float(np.mean(db(1.0 + controller.response(lines.frequency_hz[low]) * lines.siso[low])))
 

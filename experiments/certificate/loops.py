@@ -13,7 +13,7 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.verdict import loops_of
@@ -185,8 +185,8 @@ def spoiled(case: Case, rng: np.random.Generator, noise: float, how: str) -> FRF
     whole = measured(case, rng, 1.0)
     error = (whole.siso - case.plant.response(f)) * relative
     P, std = case.plant.response(f) + error, relative * np.abs(case.plant.response(f))
-    known = trusted_lines(f[keep], relative[keep], np.ones(int(keep.sum()), dtype=bool))
-    made = {"response": P[keep, None, None], "covariance": (std[keep] ** 2)[:, None, None] + 0j, "trusted": known}
+    known = valid_lines(f[keep], relative[keep], np.ones(int(keep.sum()), dtype=bool))
+    made = {"response": P[keep, None, None], "covariance": (std[keep] ** 2)[:, None, None] + 0j, "valid": known}
     return replace(whole, frequency_hz=f[keep], loop="axis", **made)
 
 

@@ -88,7 +88,7 @@ def main(pairs: int = 300) -> None:
         for periods in PERIODS:
             for gain_db in GAINS_DB:
                 count = pairs * (3 if periods else 1) // (1 if gain_db == 0.0 else 3)
-                bad = sum(pair(gain_db, periods, seed) == "did not hold" for seed in range(count))
+                bad = sum(pair(gain_db, periods, seed) == "refuted" for seed in range(count))
                 low, high = interval(bad, count)
                 kind = f"{periods} periods" if periods else "noise, 60 s"
                 row = [kind, gain_db, count, bad, f"{bad / count:.3f}", f"{low:.3f}", f"{high:.3f}"]

@@ -116,7 +116,7 @@ def draw_curves(found: Sequence[Found]) -> Figure:
 
 
 def curve(ax: Axes, one: Found, colour: str) -> None:
-    """One equilibrium on its trusted lines; band and linearisation for angles that are not negative."""
+    """One equilibrium on its valid lines; band and linearisation for angles that are not negative."""
     use = lines(one, (one.bands_hz["below"][0], one.bands_hz["above"][1]))
     c, f = one.met.coefficients[0], one.frf.frequency_hz[use]
     negative = one.theta2_deg < 0.0

@@ -49,11 +49,11 @@ def matrix(w: Array) -> Array:
 def lines(one: Found, band_hz: tuple[float, float]) -> np.ndarray:
     """Trusted lines of a band."""
     f = one.frf.frequency_hz
-    return np.asarray(one.frf.trusted & (f >= band_hz[0]) & (f <= band_hz[1]))
+    return np.asarray(one.frf.valid & (f >= band_hz[0]) & (f <= band_hz[1]))
 
 
 def matrices(found: Sequence[Found]) -> dict[str, list[Array]]:
-    """W of each equilibrium by the way it is found, from all trusted lines that are looked at."""
+    """W of each equilibrium by the way it is found, from all valid lines that are looked at."""
     use = [lines(one, (one.bands_hz["below"][0], one.bands_hz["above"][1])) for one in found]
     measured = [one.frf.response[k] for one, k in zip(found, use, strict=True)]
     linear = [one.bare[k] for one, k in zip(found, use, strict=True)]

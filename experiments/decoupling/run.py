@@ -126,7 +126,7 @@ def symmetry_rows(found: Sequence[Found]) -> list[dict]:
         if one.theta2_deg <= 0.0:
             continue
         a, b = one.met.coefficients[0], other.met.coefficients[0]
-        use = lines(one, (one.bands_hz["below"][0], one.bands_hz["above"][1])) & other.frf.trusted
+        use = lines(one, (one.bands_hz["below"][0], one.bands_hz["above"][1])) & other.frf.valid
         apart = np.abs(a.coefficient - b.coefficient)[use]
         std = np.hypot(*(np.abs(c.coefficient) * c.relative_std for c in (a, b)))[use]
         ratio = np.abs(db(a.coefficient / b.coefficient))[use]

@@ -89,7 +89,7 @@ def by_formula(percent: float = 0.0) -> FRF:
     P = np.polyval(num, TWO_PI * 1j * f) / np.polyval(den, TWO_PI * 1j * f)
     return FRF(
         frequency_hz=f, response=P[:, None, None], covariance=(1e-6 * np.abs(P) ** 2 + 0j)[:, None, None],
-        trusted=np.ones(f.size, dtype=bool), inputs=("u",), outputs=("y",), method="by formula", recording="formula",
+        valid=np.ones(f.size, dtype=bool), inputs=("u",), outputs=("y",), method="by formula", recording="formula",
         loop="axis", rate_hz=20000.0,
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from spoiled import Spoiled, draw  # noqa: E402
 
 from loopshape.core.units import Array  # noqa: E402
 from loopshape.data.response.frf import FRF  # noqa: E402
-from loopshape.data.response.frf_arrays import trusted_lines  # noqa: E402
+from loopshape.data.response.frf_arrays import valid_lines  # noqa: E402
 from loopshape.data.result.verdict import Order, SettledBy, Verdict  # noqa: E402
 from loopshape.loop.verdict import check  # noqa: E402
 
@@ -80,7 +80,7 @@ def measured(rng: np.random.Generator, one: Spoiled, first: FRF, order: Order) -
         frequency_hz=f,
         response=response[:, None, None],
         covariance=((every * np.abs(response)) ** 2)[:, None, None] + 0j,
-        trusted=trusted_lines(f, every, np.ones(f.size, dtype=bool)),
+        valid=valid_lines(f, every, np.ones(f.size, dtype=bool)),
     )
     return made, order.seconds * max(had, 1.0)
 

@@ -107,7 +107,7 @@ def answers(seed: int, noise: float) -> Iterator[Answer]:
         wish = Requirements("axis", integrators=drawn.plant.integrators())
         told = {"declared": (frf, replace(wish, unstable_poles=drawn.plant.unstable_poles())), "nothing": (frf, wish)}
         if stable:
-            told["recorded loop"] = replace(frf, held_by=_controller(rng.choice(stable))), wish
+            told["recorded loop"] = replace(frf, recorded_under=_controller(rng.choice(stable))), wish
         for name, (one, asked) in told.items():
             (loop,), _ = loops_of([one], _controller(drawn.gain), asked)
             found = closed_loop_stability(loop)

@@ -20,7 +20,7 @@ from loopshape.core.units import TWO_PI, Array
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.response.model import Fit, TransferFunction
 from loopshape.identify.fit import fit
 from loopshape.identify.structures import Rational
@@ -185,7 +185,7 @@ def _wrong_fit(rng: np.random.Generator, frf: FRF) -> Fit:
     den = int(rng.integers(2, 6))
     integrators = int(rng.integers(0, min(den, 3)))
     structure = Rational(int(rng.integers(0, den)), den, integrators, bool(rng.integers(2)))
-    return fit(frf.trusted_lines(), structure, weighting=str(rng.choice(["variance", "relative"])))
+    return fit(frf.valid_lines(), structure, weighting=str(rng.choice(["variance", "relative"])))
 
 
 def draw(rng: np.random.Generator, kind: str) -> Spoiled:
@@ -230,7 +230,7 @@ def draw(rng: np.random.Generator, kind: str) -> Spoiled:
     f = lines[keep]
     P, std = plant.response(f), relative[keep] * np.abs(plant.response(f))
     error = std * np.sqrt(0.5) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
-    known = trusted_lines(f, relative[keep], np.ones(f.size, dtype=bool))
+    known = valid_lines(f, relative[keep], np.ones(f.size, dtype=bool))
     frf = FRF(
         f,
         (P + error)[:, None, None],
@@ -263,9 +263,9 @@ def worse(rng: np.random.Generator, one: Spoiled) -> Spoiled:
         more = np.where(inside, rng.uniform(0.05, 0.8) * np.abs(frf.siso), 0.0)
         error = more * np.sqrt(0.5) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
         std = np.hypot(std, more)
-        known = trusted_lines(f, std / np.abs(frf.siso), np.ones(f.size, dtype=bool))
+        known = valid_lines(f, std / np.abs(frf.siso), np.ones(f.size, dtype=bool))
         made = replace(
-            frf, response=frf.response + error[:, None, None], covariance=(std**2)[:, None, None] + 0j, trusted=known
+            frf, response=frf.response + error[:, None, None], covariance=(std**2)[:, None, None] + 0j, valid=known
         )
         return replace(one, kind="noisier", frf=made)
     return replace(one, kind="cut", frf=frf.select(f > float(rng.choice(f[: f.size // 2]))))
@@ -298,7 +298,7 @@ def law(count: int, seed: int) -> Iterator[list]:
         rng = np.random.default_rng([seed, len(KINDS), k])
         one = draw(rng, "sound")
         other = worse(rng, one)
-        if not other.frf.trusted.any():
+        if not other.frf.valid.any():
             continue
         change = other.kind, one.outcome(), other.outcome()
         found[change] += 1

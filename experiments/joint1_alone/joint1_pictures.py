@@ -20,13 +20,13 @@ PANELS = 8  # of a loop page
 
 @styled()
 def draw_plant(frfs: Sequence[FRF], fits: Sequence[Fit], linears: Sequence[Linearisation2]) -> Figure:
-    """theta1/z_theta1 at every point: trusted lines, third-order fit, linearisation."""
+    """theta1/z_theta1 at every point: valid lines, third-order fit, linearisation."""
     figure = new_figure(2, 3, (FULL_WIDTH_IN, 4.6), sharex=True, sharey="row")
     f = np.geomspace(0.1, 10.0, 600)
     for k, (frf, fit, lin) in enumerate(zip(frfs, fits, linears, strict=True)):
         size, angle = figure.axes[k % 3], figure.axes[3 + k % 3]
         look = {"color": COLOURS[k // 3]}
-        used = frf.trusted
+        used = frf.valid
         H, P = fit.model.response(f), lin.response(f)[:, 0, 0]
         label = f"p_CD {frf.operating_point['p_cd_bar']:g} bar"
         size.semilogx(frf.frequency_hz[used], db(frf.siso[used]), ".", markersize=2.0, label=label, **look)

@@ -95,8 +95,8 @@ def measured() -> dict[str, list[FRF]]:
 
 
 def low(frf: FRF) -> FRF:
-    """The trusted lines below joint 2's mode."""
-    return frf.select(frf.trusted & (frf.frequency_hz <= FIT_TO_HZ))
+    """The valid lines below joint 2's mode."""
+    return frf.select(frf.valid & (frf.frequency_hz <= FIT_TO_HZ))
 
 
 def linear(point: dict[str, float]) -> Linearisation2:

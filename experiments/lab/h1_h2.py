@@ -19,7 +19,7 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF, joined
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
@@ -45,7 +45,7 @@ class TwoEstimates:
 def h1_h2(recordings: Sequence[Recording], loop: LoopSetup, settings: Settings | None = None) -> TwoEstimates:
     """H1 and H2 of one loop by Welch's segments, spectra averaged over records of one operating point.
 
-    All lines are kept but the two lowest and the last, also those above the excitation: `trusted` marks what the
+    All lines are kept but the two lowest and the last, also those above the excitation: `valid` marks what the
     input feeds and is known to 10 %. The covariance is noise's; a bias that both share (leakage, a resonance sharper
     than the resolution) no difference between them shows. Refuses records in closed loop, sweeps, records with a
     period, or at different rates.
@@ -136,7 +136,7 @@ def _frf(
         frequency_hz=frequency_hz,
         response=response[:, None, None],
         covariance=(np.abs(response) ** 2 * relative)[:, None, None].astype(complex),
-        trusted=trusted_lines(frequency_hz, np.sqrt(relative), s.fed),
+        valid=valid_lines(frequency_hz, np.sqrt(relative), s.fed),
         inputs=(part.input_channel.column,),
         outputs=(part.output_channel.column,),
         method=f"{name}, {s.averages:.1f} averages in all; each record by {s.first.method}",

@@ -16,7 +16,7 @@ def plant_behind(sensitivity: FRF, input_column: str) -> FRF:
     A check of it judges the loop that ran: L = (1 - S)/S is as sure as S is, also where the controller lets little
     through and a plant estimated from z and y is not known. Valid where S is.
     """
-    held = sensitivity.held_by
+    held = sensitivity.recorded_under
     if held is None:
         raise WrongUseError("a plant follows from a sensitivity and its controller", "none is known", "name it")
     S, C = sensitivity.siso, held.response(sensitivity.frequency_hz)

@@ -15,7 +15,7 @@ from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Margins, Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.loop.margin.margins import margins
@@ -177,7 +177,7 @@ def spoiled(case: Case, noise: float, how: str, rng: np.random.Generator) -> FRF
     relative = np.where(inside & (how == "poor band"), 0.5, noise)
     low = case.f < rng.uniform(0.05, 0.6) * case.f[int(np.argmin(np.abs(np.log(L))))]
     measured = frf(case, P * (1.0 + relative * white(rng, P.size)), (relative * np.abs(P)) ** 2)
-    measured = replace(measured, trusted=trusted_lines(case.f, relative, measured.trusted))
+    measured = replace(measured, valid=valid_lines(case.f, relative, measured.valid))
     return measured.select(~{"hole": inside, "low end cut": low}.get(how, np.zeros(P.size, dtype=bool)))
 
 

@@ -84,7 +84,7 @@ def measure(bench: Bench, law: str, p_bar: float, h_m: float, seed: int, one: Mu
 
 def spring_damper(frf: FRF) -> SpringDamper:
     """Weighted least squares of k + j 2 pi f d up to the source's 10 Hz; neighbouring Hann lines correlate."""
-    frf = frf.select(frf.trusted & (frf.frequency_hz <= value("bench.fit_to")))
+    frf = frf.select(frf.valid & (frf.frequency_hz <= value("bench.fit_to")))
     w, omega = 2.0 / frf.variance[:, 0, 0], angular(frf.frequency_hz)
     k_weight, d_weight = float(w.sum()), float((w * omega**2).sum())
     return SpringDamper(

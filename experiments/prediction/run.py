@@ -192,7 +192,7 @@ def report(loop: str, found: Sequence[Sequence[Remeasured]], verdict: Verdict) -
     """A few lines for people."""
     for tolerance, every in zip(TOLERANCES_DB, found, strict=True):
         outcomes = [one.comparisons[0].outcome for one in every]
-        print(f"{loop}, tolerance {tolerance:g} dB: {outcomes.count('held')} of {len(outcomes)} predictions confirmed")
+        print(f"{loop}, tolerance {tolerance:g} dB: {outcomes.count('confirmed')} of {len(outcomes)} confirmed")
     print(f"{loop}: check of what ran: {verdict.outcome}")
     for name in verdict.unstable:
         print(f"  {name}: {verdict.margins[name].stable}, {verdict.margins[name].stability_reason}")

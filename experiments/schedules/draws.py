@@ -76,7 +76,7 @@ def rows(theta2_deg: float, p_ab_bar: float) -> Iterable[Sequence[object]]:
 def within(frf: ls.FRF, truth: ls.FRF) -> float:
     """Share of the valid lines in the band whose 95 % circle holds the truth, its own error included."""
     f = frf.frequency_hz
-    used = frf.trusted & (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
+    used = frf.valid & (f >= BAND_HZ[0]) & (f <= BAND_HZ[1])
     off = np.abs(frf.siso - truth.siso[np.searchsorted(truth.frequency_hz, f)])[used] ** 2
     reach = f_distribution.isf(0.05, 2, min(frf.variance_freedom, 1e9))
     variance = frf.variance[used, 0, 0] + truth.variance[np.searchsorted(truth.frequency_hz, f), 0, 0][used]

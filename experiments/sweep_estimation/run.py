@@ -84,7 +84,7 @@ def summary(found: Sequence[tuple[FRF, dict[str, float]]], rate_hz: float, truth
     """The same of estimates and their peers' errors."""
     shares, octaves, errors, inside = [], [], [], []
     for one, _ in found:
-        f = one.frequency_hz[one.trusted]
+        f = one.frequency_hz[one.valid]
         shares.append(np.ptp(f) / (HIGH - LOW))
         octaves.append(np.log(f[-1] / f[0]) / np.log(HIGH / LOW))
         errors.append(median_error(*between(one), rate_hz, truth))
@@ -98,7 +98,7 @@ def summary(found: Sequence[tuple[FRF, dict[str, float]]], rate_hz: float, truth
 
 def between(frf: FRF) -> tuple[Array, ComplexArray]:
     """The estimate every 0.1 Hz, by straight lines between its valid lines."""
-    f, H = frf.frequency_hz[frf.trusted], frf.siso[frf.trusted]
+    f, H = frf.frequency_hz[frf.valid], frf.siso[frf.valid]
     at = np.arange(max(LOW, f[0]), min(HIGH, f[-1]), 0.1)
     return at, np.interp(at, f, H.real) + 1j * np.interp(at, f, H.imag)
 

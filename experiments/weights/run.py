@@ -142,7 +142,7 @@ def down(frf: FRF, fit: Fit) -> FRF:
 
     Without it a controller on measured lines alone gives |S| up where nothing is read.
     """
-    mine = frf.select(frf.trusted)
+    mine = frf.select(frf.valid)
     low = mine.frequency_hz[0] * np.geomspace(1e-3, 1.0, 60, endpoint=False)
     P = np.concatenate([fit.model.response(low), mine.siso])
     std = np.concatenate([0.02 * np.abs(P[: low.size]), np.sqrt(mine.variance[:, 0, 0])])

@@ -157,7 +157,7 @@ class _State:
         closed = (loop, *others)
         part = self._part(frf, closed)
         met = equivalent_plant(part, closed, loop, self.controllers).closed if others else part
-        return replace(met, loop=loop, recording=frf.recording or f"frf {k}", held_by=None)
+        return replace(met, loop=loop, recording=frf.recording or f"frf {k}", recorded_under=None)
 
     def _wish(self, loop: str, others: tuple[str, ...], plants: Sequence[FRF]) -> Requirements:
         """A loop's wishes with the unstable poles that its plant has while others are closed."""
@@ -179,7 +179,7 @@ class _State:
         if len(closed) == 1:
             wish = self.wishes.get(closed[0], Requirements(closed[0]))
             wish = replace(wish, unstable_poles=wish.unstable_poles or 0)
-            (loop,), _ = loops_of([replace(part, held_by=None)], self.controllers[closed[0]], wish)
+            (loop,), _ = loops_of([replace(part, recorded_under=None)], self.controllers[closed[0]], wish)
             found = None if loop.integrators is None else unstable_count(loop)
         else:
             own = [self.controllers[name] for name in closed]

@@ -114,7 +114,7 @@ def tune(
     """Tune a structure to several measured plants at once; same input and seed, same controller.
 
     Maximises the requirements' objective (the lowest bandwidth, unless they say otherwise) over all FRFs subject to
-    every requirement at every one, on the trusted lines. Of `draws` random starts within the bounds the best `starts`
+    every requirement at every one, on the valid lines. Of `draws` random starts within the bounds the best `starts`
     are followed a few steps, the best third of them further, and the best leaps from there; lines between which the
     plant runs straight are left out until what came out best is searched on, on all of them. Structures that this one
     contains, where a lead_lag or a notch does nothing, are searched first, and their optima are starts too. What comes

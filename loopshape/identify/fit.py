@@ -57,7 +57,7 @@ def fit(
     are; `sufficient` and `misfit_db` tell.
     """
     refuse_unknown("a weighting is not known", weighting, WEIGHTINGS)
-    lines = frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()
+    lines = frf.between(*band_hz) if band_hz is not None else frf.valid_lines()
     f, G, variance = lines.frequency_hz, lines.siso, lines.variance[:, 0, 0]
     if not variance.min() > 0.0:
         raise WrongUseError(
@@ -209,7 +209,7 @@ def fit_automatically(
     """The best named structure; where it misses the lines by over 1 dB, the best with rational ones to order four."""
     named = [structure_by_name(name) for name in STRUCTURES[:4]]
     best = fit_best(frf, named, weighting=weighting, band_hz=band_hz)
-    lines = (frf.between(*band_hz) if band_hz is not None else frf.trusted_lines()).frequency_hz.size
+    lines = (frf.between(*band_hz) if band_hz is not None else frf.valid_lines()).frequency_hz.size
     if (best.outcome == "converged" and best.misfit_db < FOLLOWS_DB) or 2 * lines < 16:
         return best
     orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]

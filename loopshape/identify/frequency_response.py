@@ -10,7 +10,7 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF, joined
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
@@ -116,17 +116,17 @@ def _loop_frf(
         z = a.response[:, 1, 0] - (1.0 if info.injection == "plant_input" else 0.0)
         std = np.sqrt(np.maximum(a.covariance[:, 1, 1].real, 0.0))  # of a z that is exact rounding errors below 0
         notes += wiring_notes(recording, loop, f, z, a.response[:, 0, 0], std)
-    trusted, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
+    valid, why = _valid(plant, rows, a, G[:, 0, 0], covariance[:, 0, 0].real, recording, loop, settings)
     notes += why
-    notes += inverse_note(recording, loop, f[trusted], G[trusted, 0, 0])
-    notes += a.notes + band_note(f, trusted)
+    notes += inverse_note(recording, loop, f[valid], G[valid, 0, 0])
+    notes += a.notes + band_note(f, valid)
     notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
     return FRF(
         frequency_hz=f,
         response=G,
         covariance=covariance,
         noise_covariance=None if plant.noise is None else plant.noise[rows],
-        trusted=trusted,
+        valid=valid,
         inputs=(s.input_channel.column,),
         outputs=(s.output_channel.column,),
         method=f"{settings.estimator} estimator, {a.method}",
@@ -146,7 +146,7 @@ def _loop_frf(
         variance_pooled=a.pooled,
         averages=a.averages,
         parameters=dict(info.parameters),
-        held_by=loop.controller if info.closed_loop else None,
+        recorded_under=loop.controller if info.closed_loop else None,
         open_loop=stayed_bounded(recordings, [loop], [loop.output]),
         notes=tuple(dict.fromkeys(notes)),
     )
@@ -199,10 +199,10 @@ def _valid(
         biased, why = biased_lines(recording, loop, settings, a, G, variance)
         sound, notes = sound & ~biased, notes + why
     relative = np.where(sound, np.sqrt(variance) / np.abs(G), np.inf)
-    trusted = trusted_lines(a.frequency_hz, relative, a.excited) & sound
+    valid = valid_lines(a.frequency_hz, relative, a.excited) & sound
     if a.unresolved is not None:
-        trusted = trusted & ~a.unresolved
-    return trusted, notes
+        valid = valid & ~a.unresolved
+    return valid, notes
 
 
 #: share of the frequencies from which on loop noise above the excitation is reported; fewer lie at its ends
@@ -231,10 +231,10 @@ def _kept(excited: np.ndarray) -> np.ndarray:
     return keep
 
 
-def band_note(f: Array, trusted: np.ndarray) -> tuple[str, ...]:
+def band_note(f: Array, valid: np.ndarray) -> tuple[str, ...]:
     """A warning where few lines or none are known well."""
-    if trusted.any():
-        known = f[trusted]
+    if valid.any():
+        known = f[valid]
         if known.size > 0.1 * f.size:
             return ()
         return (
@@ -284,7 +284,7 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
         frequency_hz=f,
         response=S[:, None, None],
         covariance=np.asarray(variance[:, None, None], dtype=complex),
-        trusted=trusted_lines(f, np.sqrt(variance) / np.abs(S), a.excited),
+        valid=valid_lines(f, np.sqrt(variance) / np.abs(S), a.excited),
         inputs=(column,),
         outputs=(column,),
         method=f"sensitivity from the injected signal, {a.method}",
@@ -301,7 +301,7 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
         variance_pooled=a.pooled,
         averages=a.averages,
         parameters=dict(info.parameters),
-        held_by=loop.controller,
+        recorded_under=loop.controller,
         notes=tuple(
             dict.fromkeys(
                 (

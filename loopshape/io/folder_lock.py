@@ -36,7 +36,7 @@ def alone(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def held(folder: Path) -> Iterator[None]:
+def locked(folder: Path) -> Iterator[None]:
     """A single step of writing: within the hold that this process has, or in one of its own."""
     handle, place = _open(folder)
     os.close(handle)

@@ -65,14 +65,14 @@ def loops_of(
         band = requirements.band_hz
         frf, left_out = _without_zeros(measured, band)
         frf, fewer = _merged(frf)
-        lines = frf.between(*band) if band else frf.trusted_lines()
+        lines = frf.between(*band) if band else frf.valid_lines()
         if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
             raise WrongUseError(
                 f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
                 f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
                 "give the controller the recording's rate_hz: its coefficients hold at one rate alone",
             )
-        if controller.added_hold and (frf.held_by is not None or frf.hold is Hold.INCLUDED):
+        if controller.added_hold and (frf.recorded_under is not None or frf.hold is Hold.INCLUDED):
             raise WrongUseError(
                 f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
             )
@@ -91,7 +91,7 @@ def loops_of(
 
 def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str]:
     """The lines that are not exactly zero, and a note of those left out; refuses a FRF that has no other."""
-    lines = frf.between(*band) if band else frf.trusted_lines()
+    lines = frf.between(*band) if band else frf.valid_lines()
     if not lines.siso.any():
         raise WrongUseError(
             f"the FRF of loop {frf.loop}, recording {frf.recording}, is zero: a dead sensor?",
@@ -117,7 +117,7 @@ def _merged(frf: FRF) -> tuple[FRF, str]:
 
 def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
     """A note where valid lines outside the band used show |S| 1 dB larger than those within; else nothing."""
-    outside = frf.trusted & ~np.isin(frf.frequency_hz, lines.frequency_hz)
+    outside = frf.valid & ~np.isin(frf.frequency_hz, lines.frequency_hz)
     outside &= frf.frequency_hz < 0.5 * controller.rate_hz
     if not outside.any():
         return ""
@@ -246,9 +246,9 @@ def _held_poles(
     A loop that stood has no unstable pole, so the encirclements of -1 by its own controller's L are the
     plant's unstable poles. Negative where no plant fits the count.
     """
-    if frf.held_by is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.held_by.rate_hz:
+    if frf.recorded_under is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.recorded_under.rate_hz:
         return None
-    loop = Loop(frf, frf.held_by, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
+    loop = Loop(frf, frf.recorded_under, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
     missing = unstable_count(loop)
     return None if isinstance(missing, Obstacle) else -missing
 

@@ -157,10 +157,10 @@ def _point(frf: FRF) -> tuple[object, ...]:
 
 def store(folder: Path, run: Run, found: Estimates, *, matrices: bool = False, csv: bool = False) -> None:
     """Write estimates into the run's folder; with `matrices` also that there is none, with `csv` as tables too."""
-    from loopshape.io.folder_lock import held
+    from loopshape.io.folder_lock import locked
     from loopshape.io.write.frfs import frf_csv, write_frfs, write_matrices
 
-    with held(folder):
+    with locked(folder):
         write_frfs(folder, found.frfs, run)
         if found.matrices or matrices:
             write_matrices(folder, found.matrices, run)

@@ -16,7 +16,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction
 from loopshape.data.result.verdict_words import outcome_of, page_text
 from loopshape.design.tune import Tuning
-from loopshape.io.folder_lock import held
+from loopshape.io.folder_lock import locked
 from loopshape.io.profiles import joined, profile_of
 from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers
@@ -63,7 +63,7 @@ def fit(
 def store_fits(run: Path, made: Sequence[Fit]) -> None:
     """Write fits into the run's folder, beside those of other FRFs."""
     known = {(f.recording, f.loop) for f in made}
-    with held(run):
+    with locked(run):
         write_fits(run, [*(f for f in fits_of(run) if (f.recording, f.loop) not in known), *made])
 
 
@@ -296,7 +296,7 @@ class ComparedRun:
     def outcome(self) -> str:
         """The worst of all comparisons."""
         outcomes = {c.outcome for c in self.comparisons}
-        return next((word for word in ("did not hold", "cannot tell", "held") if word in outcomes), "cannot tell")
+        return next((word for word in ("refuted", "cannot tell", "confirmed") if word in outcomes), "cannot tell")
 
 
 def compare(

@@ -135,12 +135,12 @@ class ShapeServer:
 
     def _save(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.io.files import make_folder
-        from loopshape.io.folder_lock import held
+        from loopshape.io.folder_lock import locked
         from loopshape.io.write.controllers import write_controllers
 
         mine = controller_from(asked["controller"])
         make_folder(self.save_to.parent)
-        with held(self.save_to.parent):
+        with locked(self.save_to.parent):
             if asked["saved"] != self._mark():
                 raise WrongUseError(
                     "not saved: the file was changed by another since this page was loaded or saved it last",

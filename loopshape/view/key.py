@@ -21,7 +21,7 @@ from scipy.spatial import KDTree
 
 from loopshape.core.units import TWO_PI, Array
 from loopshape.view.labels import numbers, point, quantity
-from loopshape.view.plots.curves import UNTRUSTED
+from loopshape.view.plots.curves import NOT_VALID
 from loopshape.view.style import COLOURS, MARKERS, MARKS, QUIET, shades, styled
 
 
@@ -173,7 +173,7 @@ class Crowd:
         self._data = np.zeros((0, 2))
         self._tree: KDTree | None = None
         for line in ax.lines:
-            if line.get_gid() != UNTRUSTED:
+            if line.get_gid() != NOT_VALID:
                 self.add(*np.asarray(line.get_xydata()).T)
 
     def add(self, x: Array, y: Array) -> None:

@@ -11,13 +11,13 @@ from loopshape.data.algebra import (
     add,
     channels,
     feedback,
-    held,
     inverse,
     lower_closure,
     product,
     regrid,
     subtract,
     upper_closure,
+    with_hold,
 )  # fmt: skip
 
 seeds, sizes = st.integers(0, 2**31), st.integers(1, 3)
@@ -156,7 +156,7 @@ def test_no_operation_changes_its_operands():
     rng = np.random.default_rng(5)
     P, K = any_frf(rng, 2, 2), any_frf(rng, 2, 2, inputs=["y0", "y1"], outputs=["u0", "u1"])
     before = [(x.frequency_hz.copy(), x.response.copy(), x.covariance.copy()) for x in (P, K)]
-    feedback(P, K), product(P, K), inverse(P), add(P, P, independent=True), held(P, 100.0), regrid(P, [1.5, 2.5])
+    feedback(P, K), product(P, K), inverse(P), add(P, P, independent=True), with_hold(P, 100.0), regrid(P, [1.5, 2.5])
     lower_closure(P, channels(K, ["u0"], ["y0"])), upper_closure(P, channels(K, ["u0"], ["y0"]))
     for x, (f, G, C) in zip((P, K), before, strict=True):
         np.testing.assert_array_equal(x.frequency_hz, f)

@@ -57,7 +57,7 @@ def test_coherence_of_a_plant_without_noise_is_one():
     z = np.random.default_rng(1).standard_normal(20000)
     frf = open_loop(z, lfilter([0.0, 0.2], [1.0, -0.8], z)).between(0.5, 45.0)
     assert frf.coherence.min() > 0.999
-    assert frf.trusted.all()
+    assert frf.valid.all()
 
 
 def test_coherence_tells_the_noises_share_of_the_output():

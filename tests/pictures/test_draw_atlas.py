@@ -77,7 +77,7 @@ def test_peaks_carry_value_interval_and_a_mark_of_the_outcome() -> None:
 
 def test_cells_beyond_the_limit_are_framed_and_no_others() -> None:
     loops = [loop for loop in nouns.loops() if loop.plant.operating_point["p_ab_bar"] == 1.0]
-    limit = float(np.median([np.max(db(loop.S[loop.plant.trusted])) for loop in loops]))
+    limit = float(np.median([np.max(db(loop.S[loop.plant.valid])) for loop in loops]))
     ax = sensitivity_atlas(loops, nouns.requirements(sensitivity_peak_db=limit)).axes[0]
     frames = [patch for patch in ax.patches if patch.get_gid() == "beyond the limit"]
     assert frames
@@ -85,7 +85,7 @@ def test_cells_beyond_the_limit_are_framed_and_no_others() -> None:
     for frame in frames:
         inside[round(frame.get_y() + 0.46)].append((frame.get_x(), frame.get_x() + frame.get_width()))
     for place, k in enumerate(sorted_points(loops)):
-        use = loops[k].plant.trusted
+        use = loops[k].plant.valid
         f, over = loops[k].frequency_hz[use], db(loops[k].S)[use] > limit
         framed = np.array([any(a < x < b for a, b in inside[place]) for x in f])
         assert np.array_equal(framed, over)
@@ -147,7 +147,7 @@ def test_points_without_coordinates_stand_by_recording_on_their_own_lines() -> N
     figure = sensitivity_atlas(loops, nouns.requirements())
     ax = figure.axes[0]
     assert [tick.get_text() for tick in ax.get_yticklabels()] == ["r08", "r09"]
-    assert [mesh.get_array().compressed().size for mesh in rows(ax)] == [frf.trusted.sum() for frf in (one, other)]
+    assert [mesh.get_array().compressed().size for mesh in rows(ax)] == [frf.valid.sum() for frf in (one, other)]
     assert len(figure.axes) == 2  # the map and its scale
 
 

@@ -27,21 +27,21 @@ def test_the_magnitude_is_the_trusted_response_in_decibel() -> None:
     frf = nouns.frf()
     ax = frequency.magnitude(frf)
     x, y = curve(ax).get_data()
-    assert np.array_equal(x, frf.frequency_hz[frf.trusted])
-    assert np.array_equal(y, db(frf.siso)[frf.trusted])
+    assert np.array_equal(x, frf.frequency_hz[frf.valid])
+    assert np.array_equal(y, db(frf.siso)[frf.valid])
     assert ax.get_ylabel() == "magnitude [dB re rad/V]"
     assert ax.get_xlabel() == "frequency [Hz]"
     assert ax.get_xscale() == "log"
 
 
-def test_untrusted_lines_are_faint_and_do_not_stretch_the_axes() -> None:
+def test_lines_outside_the_valid_band_are_faint_and_do_not_stretch_the_axes() -> None:
     frf = nouns.frf()
     ax = frequency.magnitude(frf)
-    (dots,) = by_gid(ax, "untrusted")
-    assert np.array_equal(dots.get_xdata(), frf.frequency_hz[~frf.trusted])
+    (dots,) = by_gid(ax, "not valid")
+    assert np.array_equal(dots.get_xdata(), frf.frequency_hz[~frf.valid])
     assert dots.get_alpha() < 0.5
     assert ax.get_xlim()[1] < frf.frequency_hz[-1]
-    assert ax.dataLim.x1 == frf.trusted_band_hz[1]
+    assert ax.dataLim.x1 == frf.valid_band_hz[1]
 
 
 def test_the_band_holds_95_of_100_magnitudes() -> None:
@@ -50,7 +50,7 @@ def test_the_band_holds_95_of_100_magnitudes() -> None:
     for seed in range(20):
         frf = nouns.frf(seed=1000 * seed)
         low, high = magnitude_band_db(frf)
-        inside.append(((low < truth) & (truth < high))[frf.trusted])
+        inside.append(((low < truth) & (truth < high))[frf.valid])
     assert np.mean(inside[0]) > 0.8
     assert np.mean([i.mean() for i in inside]) == pytest.approx(0.95, abs=0.01)
 
@@ -79,24 +79,24 @@ def test_the_phase_of_an_integrating_plant_goes_from_minus_90_to_minus_270() -> 
 @pytest.mark.parametrize("noise_turns", [0.0, 3.0])
 def test_the_phase_is_exact_on_trusted_lines_whatever_the_others_hold(start: float, noise_turns: float) -> None:
     phase = np.linspace(start, start - 700.0, 200)
-    trusted = np.ones(200, dtype=bool)
-    trusted[[0, 1, 60, 61, 62, 150, 190]] = False
+    valid = np.ones(200, dtype=bool)
+    valid[[0, 1, 60, 61, 62, 150, 190]] = False
     phase = phase + (start - phase[2])
-    wrong = np.where(trusted, 0.0, noise_turns * 111.0)
-    found = unwrapped_deg(np.exp(1j * rad(phase + wrong)), trusted)
-    assert np.allclose(found[trusted], phase[trusted])
+    wrong = np.where(valid, 0.0, noise_turns * 111.0)
+    found = unwrapped_deg(np.exp(1j * rad(phase + wrong)), valid)
+    assert np.allclose(found[valid], phase[valid])
     assert np.all(np.abs(found - phase) <= 200.0)
 
 
 def test_the_phase_without_any_trusted_line_is_still_drawn() -> None:
-    frf = nouns.frf(trusted=np.zeros(nouns.frf().frequency_hz.size, dtype=bool))
+    frf = nouns.frf(valid=np.zeros(nouns.frf().frequency_hz.size, dtype=bool))
     figure = frequency.frf_page(frf)
-    assert len(by_gid(figure.axes[2], "untrusted")) == 1
+    assert len(by_gid(figure.axes[2], "not valid")) == 1
 
 
 def test_coherence_and_spectra_show_the_estimators_own() -> None:
     frf = nouns.frf()
-    assert np.array_equal(curve(frequency.coherence(frf)).get_ydata(), frf.coherence[frf.trusted])
+    assert np.array_equal(curve(frequency.coherence(frf)).get_ydata(), frf.coherence[frf.valid])
     ax = frequency.spectra(frf)
     drawn = [line.get_ydata() for line in ax.lines]
     assert np.array_equal(drawn[0], frf.input_power)

@@ -159,14 +159,14 @@ def test_four_loops_give_k_the_width_of_the_page_and_a_key_of_pairs():
     rng = np.random.default_rng(1)
     G = np.diag([1.0, 0.5, 2.0, 1.0]) + 0.05 * rng.standard_normal((4, 4))
     names = "theta1+theta2+p_a+p_c"
-    frf = matrix_frf(G, error=0.05, seed=1, loop=names, trusted=F > 0.3, multiple_coherence=np.full((F.size, 4), 0.9),
+    frf = matrix_frf(G, error=0.05, seed=1, loop=names, valid=F > 0.3, multiple_coherence=np.full((F.size, 4), 0.9),
                      partial_coherence=np.full((F.size, 4, 4), 0.9), averages=20.0)  # fmt: skip
     figure = interaction_page(ls.interaction(frf))
     figure.draw_without_rendering()
     first, gain, multiple = figure.axes  # sixteen partial coherences could not be told apart
     assert first.get_position().width > 1.8 * gain.get_position().width
     assert first.get_xlabel() == gain.get_xlabel() == multiple.get_xlabel() == "frequency [Hz]"
-    assert len(first.get_legend().get_texts()) == 6 + 1  # untrusted dots are no entries
+    assert len(first.get_legend().get_texts()) == 6 + 1  # dots outside the valid band are no entries
     marks = [a for a in first.get_children() if a.get_gid() == "pair"]
     assert len(marks) == 6
     assert "6 pairs of loops: of" in texts(figure)

@@ -37,7 +37,7 @@ def test_the_sensitivities_carry_units_and_limits() -> None:
     for ax, name in zip(figure.axes, ("S", "T", "CS", "PS"), strict=True):
         curves = by_gid(ax, None)
         for loop, line in zip(loops, curves, strict=True):
-            assert np.array_equal(line.get_ydata(), db(getattr(loop, name))[loop.plant.trusted])
+            assert np.array_equal(line.get_ydata(), db(getattr(loop, name))[loop.plant.valid])
 
 
 def test_the_loop_page_shows_plant_controller_open_loop_and_sensitivity() -> None:
@@ -66,7 +66,7 @@ def test_the_worst_point_is_thick_named_and_alone_has_a_band() -> None:
     loop = loops[worst.index]
     for ax, name in ((figure.axes[0], "P"), (figure.axes[6], "S"), (figure.axes[7], "T")):
         (edge,) = bands(ax)
-        ends, use = band(loop, name), loop.plant.trusted
+        ends, use = band(loop, name), loop.plant.valid
         lines = np.count_nonzero(use)
         assert np.array_equal(edge[:lines, 1], ends.low_db[use])
         assert np.array_equal(edge[lines : 2 * lines, 1], ends.high_db[use][::-1])

@@ -104,7 +104,7 @@ def test_the_curves_are_the_open_loops_and_the_worst_is_drawn_last() -> None:
     order = [k for k in range(24) if k != worst] + [worst]
     for k, line in zip(order, curves, strict=True):
         phase, size = line.get_data()
-        assert np.allclose(open_loop(phase, size), loops[k].L[loops[k].plant.trusted])
+        assert np.allclose(open_loop(phase, size), loops[k].L[loops[k].plant.valid])
         assert -270.0 < phase[0] <= 90.0
     assert curves[-1].get_linewidth() > 1.5 * max(line.get_linewidth() for line in curves[:-1])
     assert ax.get_xlabel() == "open-loop phase [deg]"
@@ -203,4 +203,4 @@ def test_a_curve_of_noise_alone_is_dots() -> None:
     loops = [replace(nouns.loops()[0], plant=loud), nouns.loops()[1]]
     ax = nichols(loops, None)
     assert len([line for line in by_gid(ax, None) if line.get_xdata().size]) == 1
-    assert len(by_gid(ax, "untrusted")) == 2
+    assert len(by_gid(ax, "not valid")) == 2

@@ -19,7 +19,7 @@ def sensitivity(point: float, gain: float = 1.0) -> ls.FRF:
     P = gain / (2j * np.pi * f)
     frf = ls.FRF(
         f, P[:, None, None], (1e-3 * np.abs(P) ** 2)[:, None, None].astype(complex), np.ones(40, dtype=bool), ("z_v",),
-        ("theta2_rad",), "made", recording=f"r{point:g}", loop="theta2", rate_hz=1000.0, held_by=GAIN,
+        ("theta2_rad",), "made", recording=f"r{point:g}", loop="theta2", rate_hz=1000.0, recorded_under=GAIN,
         operating_point={"theta2_deg": point},
     )  # fmt: skip
     return sensitivity_of(frf)
@@ -54,7 +54,7 @@ def test_a_comparison_shows_both_and_shades_where_it_fails() -> None:
     found = [compare(p, m) for p, m in zip(made, measured, strict=True)]
     figure = comparison_grid(made, measured, found)
     held, failed = figure.axes[:2]
-    assert [c.outcome for c in found] == ["held", "did not hold"]
+    assert [c.outcome for c in found] == ["confirmed", "refuted"]
     assert len(failed.patches) == len(held.patches) + 1
     assert np.allclose(failed.lines[1].get_ydata(), 20.0 * np.log10(np.abs(measured[1].siso)))
     assert "dB" in failed.texts[0].get_text()

@@ -13,12 +13,12 @@ from loopshape.data.algebra import (
     channels,
     controller_frf,
     feedback,
-    held,
     inverse,
     lower_closure,
     product,
     regrid,
     upper_closure,
+    with_hold,
 )  # fmt: skip
 from loopshape.loop.verdict import check
 
@@ -86,29 +86,29 @@ def test_rates_and_controllers():
 
 
 def test_the_hold_is_multiplied_in_once():
-    one = held(A, 100.0, 0.001)
+    one = with_hold(A, 100.0, 0.001)
     assert "zero-order hold at 100 Hz and 0.001 s of delay" in one.method
-    no("the hold and the delay already", held, one, 100.0)
-    no("already", held, product(one, replace(B, outputs=A.inputs)), 100.0)
+    no("the hold and the delay already", with_hold, one, 100.0)
+    no("already", with_hold, product(one, replace(B, outputs=A.inputs)), 100.0)
     no(
         "recorded at the controller's own rate contains the hold.*continuous=True",
-        held,
+        with_hold,
         replace(A, rate_hz=100.0),
         100.0,
     )
-    assert held(replace(A, rate_hz=100.0), 100.0, continuous=True).rate_hz == 100.0
-    no("frequencies below half its rate", held, A, 10.0)
-    no("frequencies below half its rate", held, A, 100.0, -1.0)
-    no("frequencies below half its rate", held, A, float("nan"))
+    assert with_hold(replace(A, rate_hz=100.0), 100.0, continuous=True).rate_hz == 100.0
+    no("frequencies below half its rate", with_hold, A, 10.0)
+    no("frequencies below half its rate", with_hold, A, 100.0, -1.0)
+    no("frequencies below half its rate", with_hold, A, float("nan"))
 
 
 def test_that_the_hold_is_included_is_a_field_and_no_word_of_the_method():
-    one = replace(held(A, 100.0), method="bench", notes=())
-    no("already", held, one, 100.0)
-    no("already", held, ls.from_control(ls.to_control(one), relative_std=0.0), 100.0)
-    with_hold = replace(GAIN, added_hold=True)
-    plant = replace(held(any_frf(RNG, 1, 1), GAIN.rate_hz), method="bench", notes=(), loop=GAIN.loop)
-    no("contains the hold already", check, [plant], with_hold, ls.Requirements(GAIN.loop, bandwidth_hz=1.0))
+    one = replace(with_hold(A, 100.0), method="bench", notes=())
+    no("already", with_hold, one, 100.0)
+    no("already", with_hold, ls.from_control(ls.to_control(one), relative_std=0.0), 100.0)
+    added = replace(GAIN, added_hold=True)
+    plant = replace(with_hold(any_frf(RNG, 1, 1), GAIN.rate_hz), method="bench", notes=(), loop=GAIN.loop)
+    no("contains the hold already", check, [plant], added, ls.Requirements(GAIN.loop, bandwidth_hz=1.0))
 
 
 def test_regridding_never_extrapolates():
@@ -120,5 +120,5 @@ def test_regridding_never_extrapolates():
     made = regrid(A, np.arange(1.5, 7.0, 0.25))
     assert "interpolated from 7 onto 22 lines" in made.notes[-1]
     assert made.line_overlap > 3.0
-    assert list(made.trusted[:3]) == [False, False, True]  # the first line is not trusted, nor what leans on it
+    assert list(made.valid[:3]) == [False, False, True]  # the first line is not valid, nor what leans on it
     assert regrid(A.select([2]), [3.0]).response == pytest.approx(A.response[2:3])

@@ -10,12 +10,12 @@ from loopshape.loop.verdict import check
 WISHED = ls.Requirements("axis", phase_margin_deg=30.0, integrators=1, unstable_poles=0)
 
 
-def frf_of(recording="r1", trusted=True, rate_hz=1000.0, outputs=1, top_hz=100.0):
+def frf_of(recording="r1", valid=True, rate_hz=1000.0, outputs=1, top_hz=100.0):
     f = np.geomspace(0.1, top_hz, 200)
     G = np.repeat((20.0 / (2j * np.pi * f))[:, None, None], outputs, axis=1)
     covariance = np.tile(1e-8 * np.eye(outputs, dtype=complex), (f.size, 1, 1))
     return ls.FRF(
-        f, G, covariance, np.full(f.size, trusted), ("z_v",), tuple(f"y{k}_rad" for k in range(outputs)), "made up",
+        f, G, covariance, np.full(f.size, valid), ("z_v",), tuple(f"y{k}_rad" for k in range(outputs)), "made up",
         recording=recording, loop="axis", rate_hz=rate_hz,
     )  # fmt: skip
 
@@ -88,7 +88,7 @@ def test_frfs_without_a_recording_get_names_of_their_own():
 
 
 def test_a_frf_without_a_trusted_line():
-    text = refusal(lambda: ls.check([frf_of(trusted=False)], under_gain(), WISHED))
+    text = refusal(lambda: ls.check([frf_of(valid=False)], under_gain(), WISHED))
     assert "no frequency of the FRF axis r1 is valid" in text
     assert "excite more" in text
 

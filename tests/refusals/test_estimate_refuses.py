@@ -135,11 +135,11 @@ def test_a_recording_that_ended_early_is_noted():
 def test_a_record_that_knows_no_line_well_says_so():
     rng = np.random.default_rng(3)
     frf = estimate_frf(recording(columns={"y_rad": 1e3 * rng.standard_normal(N)}), LOOP)
-    assert not frf.trusted.any()
+    assert not frf.valid.any()
     assert "is known to 10 %: excite more or measure longer" in " ".join(frf.notes)
-    text = refusal(ls.errors.WrongUseError, frf.trusted_lines)
+    text = refusal(ls.errors.WrongUseError, frf.valid_lines)
     assert "no frequency of the FRF axis r1 is valid" in text
-    assert np.isnan(frf.trusted_band_hz).all()
+    assert np.isnan(frf.valid_band_hz).all()
 
 
 def test_a_run_without_excited_loops_is_refused():
@@ -194,7 +194,7 @@ def some_frf(nf=5, ny=1, nu=1, **words):
         "frequency_hz": np.arange(1.0, nf + 1),
         "response": np.ones((nf, ny, nu), dtype=complex),
         "covariance": np.ones((nf, ny * nu, ny * nu), dtype=complex),
-        "trusted": np.ones(nf, dtype=bool),
+        "valid": np.ones(nf, dtype=bool),
         "inputs": tuple(f"u{k}_v" for k in range(nu)),
         "outputs": tuple(f"y{k}_rad" for k in range(ny)),
         "method": "made up",

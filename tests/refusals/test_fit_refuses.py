@@ -8,12 +8,12 @@ import loopshape as ls
 from loopshape.identify.fit import fit, fit_best, modes, structure_by_name
 
 
-def frf_of(nf=20, trusted=True, variance=1e-4, ny=1):
+def frf_of(nf=20, valid=True, variance=1e-4, ny=1):
     f = np.geomspace(0.5, 10.0, nf)
     G = np.repeat((4.0 / (2j * np.pi * f))[:, None, None], ny, axis=1)
     covariance = np.tile(variance * np.eye(ny, dtype=complex), (nf, 1, 1)) * (np.abs(G[:, :1, :1]) ** 2)
     outputs = tuple(f"y{k}_rad" for k in range(ny))
-    return ls.FRF(f, G, covariance, np.full(nf, trusted), ("z_v",), outputs, "made up", recording="r1", loop="axis")
+    return ls.FRF(f, G, covariance, np.full(nf, valid), ("z_v",), outputs, "made up", recording="r1", loop="axis")
 
 
 def refusal(call):
@@ -51,7 +51,7 @@ def test_orders_that_make_no_sense(orders):
 
 
 def test_a_frf_without_a_trusted_line():
-    assert "no frequency of the FRF axis r1 is valid" in refusal(lambda: fit(frf_of(trusted=False), Integrator()))
+    assert "no frequency of the FRF axis r1 is valid" in refusal(lambda: fit(frf_of(valid=False), Integrator()))
 
 
 def test_a_band_without_lines():
@@ -61,7 +61,7 @@ def test_a_band_without_lines():
 
 
 def test_a_band_may_hold_lines_that_are_not_trusted():
-    assert fit(frf_of(trusted=False), Integrator(), band_hz=(1.0, 5.0))["kappa"].value == pytest.approx(4.0)
+    assert fit(frf_of(valid=False), Integrator(), band_hz=(1.0, 5.0))["kappa"].value == pytest.approx(4.0)
 
 
 def test_a_matrix_of_responses():

@@ -38,7 +38,7 @@ K = ls.Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
             lambda: relative_gain(matrix_frf(np.ones((F.size, 2, 2)))),
             "has no inverse at every frequency; received 0.1 Hz",
         ),
-        (lambda: ls.interaction(matrix_frf(coupled_by(-30.0), trusted=F > 99.0)), "is valid"),
+        (lambda: ls.interaction(matrix_frf(coupled_by(-30.0), valid=F > 99.0)), "is valid"),
     ],
 )
 def test_refusals_say_what_and_the_way_out(ask, words):

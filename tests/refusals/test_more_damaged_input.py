@@ -21,11 +21,11 @@ def frf_of(**changes):
     return replace(made, **changes)
 
 
-def with_zeros(rows, trusted=True):
+def with_zeros(rows, valid=True):
     made = frf_of()
-    response, mask = np.array(made.response), np.array(made.trusted)
-    response[rows], mask[rows] = 0.0, trusted
-    return replace(made, response=response, trusted=mask)
+    response, mask = np.array(made.response), np.array(made.valid)
+    response[rows], mask[rows] = 0.0, valid
+    return replace(made, response=response, valid=mask)
 
 
 def checked(frf, **required):
@@ -93,11 +93,11 @@ def test_a_dead_sensor():
         checked(with_zeros(slice(None)))
 
 
-@pytest.mark.parametrize("trusted", [True, False])
+@pytest.mark.parametrize("valid", [True, False])
 @pytest.mark.parametrize("rows", [[0], [100], [199]])
 @pytest.mark.parametrize("required", [{}, {"band_hz": (0.1, 100.0)}, {"integrators": 1}])
-def test_a_zero_line_among_good_ones_is_left_out_and_said(rows, trusted, required):
-    verdict = checked(with_zeros(rows, trusted), **required)
+def test_a_zero_line_among_good_ones_is_left_out_and_said(rows, valid, required):
+    verdict = checked(with_zeros(rows, valid), **required)
     assert verdict.outcome == "passed"
     assert any("exactly zero were left out: 1" in text for text in verdict.warnings)
 

@@ -101,6 +101,6 @@ def test_a_bad_table(tmp_path, line, words):
 
 def test_a_line_above_half_the_rate():
     slow = [ls.Controller(name, (Block("gain", {"gain": 1.0}),), 150.0) for name in "ab"]
-    other = type(frf())(F, G, frf().covariance, frf().trusted, frf().inputs, frf().outputs, "m", "exact", "a+b", 150.0)
+    other = type(frf())(F, G, frf().covariance, frf().valid, frf().inputs, frf().outputs, "m", "exact", "a+b", 150.0)
     with pytest.raises(ls.errors.WrongUseError, match="has no response at or above 75 Hz"):
         check_several([other], slow)

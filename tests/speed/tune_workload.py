@@ -21,7 +21,7 @@ def frfs(lines: int) -> list[ls.FRF]:
             frequency_hz=f,
             response=(linearise(c, theta, p).response(f)[:, 0, 0] * delay)[:, None, None],
             covariance=np.full((lines, 1, 1), 1e-16 + 0j),
-            trusted=np.ones(lines, dtype=bool),
+            valid=np.ones(lines, dtype=bool),
             inputs=("z_theta2_v",),
             outputs=("theta2_rad",),
             method="linearised",

@@ -98,7 +98,7 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
     told = any(one.noise_covariance is not None for one in found.frfs)
     columns += ["of it distortion [%]"] if told else []
-    keys = ["recording", "loop", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db"]
+    keys = ["recording", "loop", "operating_point", "valid_from_hz", "valid_to_hz", "lines", "median_std_db"]
     keys += ["distortion_percent"] if told else []
     rows = []
     for one in found.frfs:
@@ -131,16 +131,16 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
 
 def _valid(frf: FRF) -> FRF:
     """The lines in the valid band; all where there is none."""
-    return frf.select(frf.trusted) if frf.trusted.any() else frf
+    return frf.select(frf.valid) if frf.valid.any() else frf
 
 
 def _where(frf: FRF) -> tuple[Any, ...]:
     """Operating point, valid band in Hz, and how many lines lie in it."""
-    return point(frf.operating_point, frf.parameters), *frf.trusted_band_hz, int(frf.trusted.sum())
+    return point(frf.operating_point, frf.parameters), *frf.valid_band_hz, int(frf.valid.sum())
 
 
 _OF_MATRIX = (
-    "recordings", "loops", "outputs", "operating_point", "trusted_from_hz", "trusted_to_hz", "lines", "std_percent",
+    "recordings", "loops", "outputs", "operating_point", "valid_from_hz", "valid_to_hz", "lines", "std_percent",
 )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ from loopshape.data.algebra.operations import (
     subtract,
     upper_closure,
 )
-from loopshape.data.algebra.sampling import held, regrid
+from loopshape.data.algebra.sampling import regrid, with_hold
 
 __all__ = [
     "ClosedLoop",
@@ -35,11 +35,11 @@ __all__ = [
     "channels",
     "controller_frf",
     "feedback",
-    "held",
     "inverse",
     "lower_closure",
     "product",
     "regrid",
     "subtract",
     "upper_closure",
+    "with_hold",
 ]

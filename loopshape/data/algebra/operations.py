@@ -106,7 +106,7 @@ def without_controller(L: FRF, controller: Controller) -> FRF:
     noise = None if L.noise_covariance is None else L.noise_covariance / np.abs(C) ** 2
     return replace(
         L, response=L.response / C, covariance=L.covariance / np.abs(C) ** 2, noise_covariance=noise, input_power=None,
-        output_power=None, cross_power=None, rate_hz=L.rate_hz or controller.rate_hz, held_by=controller,
+        output_power=None, cross_power=None, rate_hz=L.rate_hz or controller.rate_hz, recorded_under=controller,
         notes=(*L.notes, "measured as the complete loop: its controller was divided out"),
     )  # fmt: skip
 

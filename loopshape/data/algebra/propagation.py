@@ -133,7 +133,7 @@ def result(
         response=response,
         covariance=_covariance(terms, "covariance"),
         noise_covariance=_covariance(terms, "noise_covariance") if noisy else None,
-        trusted=np.logical_and.reduce([frf.trusted for frf in frfs]),
+        valid=np.logical_and.reduce([frf.valid for frf in frfs]),
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         method=f"{word} of " + " and ".join(f"({frf.method})" for frf in frfs),

@@ -16,7 +16,7 @@ from loopshape.data.response.frf import FRF, Hold
 _LINEWISE = ("response", "covariance", "noise_covariance", *MEASURED)
 
 
-def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = False) -> FRF:
+def with_hold(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = False) -> FRF:
     """A plant measured as continuous, as a controller at `rate_hz` meets it: times hold and computation delay, once.
 
     The hold is sinc(f/rate) exp(-j pi f/rate). What the sampler folds down from above half the rate is neglected:
@@ -41,7 +41,7 @@ def held(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: bool = F
     noise = None if frf.noise_covariance is None else power * frf.noise_covariance
     return replace(
         frf, response=factor[:, None, None] * frf.response, covariance=power * frf.covariance, noise_covariance=noise,
-        input_power=None, output_power=None, cross_power=None, rate_hz=float(rate_hz), held_by=None,
+        input_power=None, output_power=None, cross_power=None, rate_hz=float(rate_hz), recorded_under=None,
         hold=Hold.INCLUDED, method=f"{frf.method}, times {words}",
         notes=(*frf.notes, f"{words} multiplied into a continuous FRF"),
     )  # fmt: skip
@@ -73,11 +73,11 @@ def regrid(frf: FRF, frequency_hz: ArrayLike) -> FRF:
     changes: dict[str, Any] = {
         name: between(getattr(frf, name)) for name in _LINEWISE if getattr(frf, name) is not None
     }
-    trusted = (frf.trusted[left] | (weight == 1.0)) & (frf.trusted[right] | (weight == 0.0))
+    valid = (frf.valid[left] | (weight == 1.0)) & (frf.valid[right] | (weight == 0.0))
     within = int(np.sum((old >= new[0]) & (old <= new[-1])))
     note = f"interpolated from {old.size} onto {new.size} lines; a straight line misses {_missed(frf):.2g} % at most"
     return replace(
-        frf, frequency_hz=new, trusted=trusted, notes=(*frf.notes, note), method=f"{frf.method}, interpolated linearly",
+        frf, frequency_hz=new, valid=valid, notes=(*frf.notes, note), method=f"{frf.method}, interpolated linearly",
         line_overlap=frf.line_overlap * max(1.0, new.size / max(within, 1)), **changes,
     )  # fmt: skip
 

@@ -53,7 +53,7 @@ def known_above(beyond: FRF) -> np.ndarray:
     Not those of the valid band, which only requirements that narrow it leave out, and a note says so.
     """
     known = np.sqrt(beyond.variance[:, 0, 0]) < KNOWN_ABOVE * np.abs(beyond.siso)
-    return np.asarray(known & ~beyond.trusted)
+    return np.asarray(known & ~beyond.valid)
 
 
 def reach_above(beyond: FRF) -> Array:

@@ -219,9 +219,9 @@ def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[
     """The structure with bounds for what was open: frequencies in the plants' valid bands, gains about 1/|P|."""
     if not any(value is OPEN for block in structure for value in block.parameters.values()):
         return tuple(structure)
-    bands = np.array([frf.trusted_band_hz for frf in plants])
+    bands = np.array([frf.valid_band_hz for frf in plants])
     low, high = float(np.nanmin(bands)), float(np.nanmax(bands))
-    sizes = np.concatenate([np.abs(frf.siso[frf.trusted]) for frf in plants])
+    sizes = np.concatenate([np.abs(frf.siso[frf.valid]) for frf in plants])
     usual, reach = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**GAIN_DECADES
 
     def closed(name: str, value: float | Free) -> float | Free:

@@ -54,7 +54,7 @@ class FRF:
     `covariance` (nf, ny nu, ny nu) is E[d d^H] of d = vec(response) with columns stacked, for a circular
     error: the standard deviation of the real part alone is sqrt(diag/2). `coherence` (nf,), `input_power`,
     `output_power` and `cross_power` (nf,) are those of the loop's own input and output, per Hz or per line
-    of a periodic record as `power_per` says; None where there is none. `trusted` (nf,) marks lines fit for
+    of a periodic record as `power_per` says; None where there is none. `valid` (nf,) marks lines fit for
     use. `line_overlap` is the number of lines that carry one line's worth of independent error (1 for
     periods, 1.94 for Hann segments), `variance_freedom` the degrees of freedom of each line's variance, which
     `variance_pooled` neighbouring lines share.
@@ -63,7 +63,7 @@ class FRF:
     `multiple_coherence` (nf, ny) and `partial_coherence` (nf, ny, nu) are those of several inputs; `averages` is the
     effective number of averages behind them, without which a coherence says nothing (it is biased by inputs/averages).
     `recording` names what it was measured from, in short; where that was several, `recordings` names all.
-    `parameters` are settings of the rig that held for this recording alone; `held_by` is the controller under
+    `parameters` are settings of the rig that held for this recording alone; `recorded_under` is the controller under
     which the loop stood, where it is known; `open_loop` says that the recordings were made without feedback, so that
     a plant whose output stayed bounded has no unstable pole; `hold` says whether it is known to contain the zero-order
     hold. `method` says in one line how it was measured, `method_numbers` are the numbers in it by name, from which
@@ -73,7 +73,7 @@ class FRF:
     frequency_hz: Array
     response: ComplexArray
     covariance: ComplexArray
-    trusted: np.ndarray
+    valid: np.ndarray
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     method: str
@@ -90,7 +90,7 @@ class FRF:
     variance_freedom: float = float("inf")
     variance_pooled: int = 1
     parameters: Mapping[str, float] = field(default_factory=dict)
-    held_by: Controller | None = None
+    recorded_under: Controller | None = None
     notes: tuple[str, ...] = ()
     noise_covariance: ComplexArray | None = None
     multiple_coherence: Array | None = None
@@ -113,7 +113,7 @@ class FRF:
 
     def _pass_arrays(self) -> None:
         """Copy the arrays, read-only; refuses what is no number and a response that is real."""
-        for name in (*_ARRAYS, "trusted"):
+        for name in (*_ARRAYS, "valid"):
             value = getattr(self, name)
             if value is not None or name in NEEDED:
                 copy = passed(name, value)
@@ -130,7 +130,7 @@ class FRF:
         if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0):
             raise WrongUseError("the variances of a FRF are not negative")
         ny, nu = len(self.outputs), len(self.inputs)
-        shapes: dict[str, tuple[int, ...]] = {name: (nf,) for name in ("trusted", *_ARRAYS[3:7])}
+        shapes: dict[str, tuple[int, ...]] = {name: (nf,) for name in ("valid", *_ARRAYS[3:7])}
         shapes |= {"noise_covariance": (nf, ny * nu, ny * nu)}
         shapes |= {"multiple_coherence": (nf, ny), "partial_coherence": (nf, ny, nu)}
         for name, shape in shapes.items():
@@ -217,8 +217,8 @@ class FRF:
     def __repr__(self) -> str:
         """One line: what it is of, its frequencies, its valid band and its size."""
         of = " ".join(word for word in (self.loop, self.recording) if word)
-        f, (low, high) = self.frequency_hz, self.trusted_band_hz
-        valid = "" if self.trusted.all() else f" (valid band {low:.4g} to {high:.4g} Hz)"
+        f, (low, high) = self.frequency_hz, self.valid_band_hz
+        valid = "" if self.valid.all() else f" (valid band {low:.4g} to {high:.4g} Hz)"
         ny, nu = self.response.shape[1:]
         size = f"{ny} output{'s' * (ny > 1)} x {nu} input{'s' * (nu > 1)}"
         rate = f", rate {self.rate_hz:g} Hz" if self.rate_hz else ""
@@ -296,7 +296,7 @@ class FRF:
 
     def select(self, lines: np.ndarray) -> FRF:
         """The same FRF on a mask or index of lines."""
-        changes = {n: getattr(self, n)[lines] for n in (*_ARRAYS, "trusted") if getattr(self, n) is not None}
+        changes = {n: getattr(self, n)[lines] for n in (*_ARRAYS, "valid") if getattr(self, n) is not None}
         return replace(self, **changes)
 
     def between(self, f_low_hz: float, f_high_hz: float) -> FRF:
@@ -310,20 +310,20 @@ class FRF:
             )
         return self.select(mask)
 
-    def trusted_lines(self) -> FRF:
+    def valid_lines(self) -> FRF:
         """The valid lines; refuses a FRF without any."""
-        if not self.trusted.any():
+        if not self.valid.any():
             raise WrongUseError(
                 f"no frequency of the FRF {self.loop} {self.recording} is valid".replace("  ", " "),
                 self.method,
                 "excite more, or measure longer",
             )
-        return self.select(self.trusted)
+        return self.select(self.valid)
 
     @property
-    def trusted_band_hz(self) -> tuple[float, float]:
+    def valid_band_hz(self) -> tuple[float, float]:
         """Lowest and highest valid line, (nan, nan) without any."""
-        f = self.frequency_hz[self.trusted]
+        f = self.frequency_hz[self.valid]
         return (float(f[0]), float(f[-1])) if f.size else (float("nan"), float("nan"))
 
     def renewed(self, newer: FRF) -> FRF:
@@ -339,14 +339,14 @@ class FRF:
         >>> old.renewed(new).frequency_hz.tolist()
         [1.0, 2.0, 2.5, 3.0, 4.0]
         """
-        for name in ("inputs", "outputs", "rate_hz", "operating_point", "parameters", "hold", "held_by"):
+        for name in ("inputs", "outputs", "rate_hz", "operating_point", "parameters", "hold", "recorded_under"):
             if getattr(self, name) != getattr(newer, name):
                 raise WrongUseError(
                     f"the two FRFs of loop {self.loop} differ in {name}: one does not renew the other",
                     f"{getattr(self, name)!s:.80} and {getattr(newer, name)!s:.80}",
                     "take FRFs of one plant at one operating point",
                 )
-        new = newer.trusted_lines()
+        new = newer.valid_lines()
         f, (low, high) = self.frequency_hz, new.frequency_hz[[0, -1]]
         outside = (f < low * (1.0 - 1e-6)) | (f > high * (1.0 + 1e-6))  # the ends are lines of both
         if not outside.any():
@@ -354,7 +354,7 @@ class FRF:
         old = self.select(outside)
         order = np.argsort(np.concatenate([old.frequency_hz, new.frequency_hz]))
         alike = self.power_per == newer.power_per  # else powers of two kinds would stand in one array
-        kept = [name for name in (*_ARRAYS, "trusted") if alike or not name.endswith("_power")]
+        kept = [name for name in (*_ARRAYS, "valid") if alike or not name.endswith("_power")]
         pairs = {name: (getattr(old, name), getattr(new, name)) for name in kept}
         arrays: dict[str, Any] = {
             n: None if a is None or b is None else np.concatenate([a, b])[order] for n, (a, b) in pairs.items()

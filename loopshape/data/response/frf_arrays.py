@@ -19,20 +19,20 @@ from loopshape.data.arrays import complex_array, number, real_array, real_or_com
 LEAST_COHERENCE = 1e-12
 
 
-NEEDED = ("frequency_hz", "response", "covariance", "trusted")
+NEEDED = ("frequency_hz", "response", "covariance", "valid")
 _COMPLEX = ("covariance", "cross_power", "noise_covariance")
 
 
 def passed(name: str, value: ArrayLike | None) -> np.ndarray:
     """A copy of a FRF's field `name`, in the type that it has there."""
     what = f"{name} of a FRF"
-    if name == "trusted":
+    if name == "valid":
         try:
             mask = np.array(value)
         except ValueError as error:
             raise WrongUseError(f"{what} is a mask of true and false", f"{error}", "give truth values (nf,)") from error
         if mask.dtype != bool:
-            raise WrongUseError("trusted is a mask of true and false", f"{mask.dtype}", "give truth values (nf,)")
+            raise WrongUseError("valid is a mask of true and false", f"{mask.dtype}", "give truth values (nf,)")
         return mask
     if name == "response":
         return complex_array(value, what)
@@ -56,7 +56,7 @@ def valid_frequencies(frequency_hz: Array, response: ComplexArray, covariance: C
     """Mask (nf,) of the valid band, by the largest error beside the largest singular value."""
     std = np.sqrt(np.maximum(np.real(np.einsum("fii->fi", covariance)), 0.0)).max(axis=1)
     size = np.maximum(np.linalg.norm(response, 2, axis=(1, 2)), 1e-300)
-    return trusted_lines(frequency_hz, std / size, np.ones(std.size, dtype=bool))
+    return valid_lines(frequency_hz, std / size, np.ones(std.size, dtype=bool))
 
 
 def polar(magnitude_db: ArrayLike, phase_deg: ArrayLike) -> ComplexArray:
@@ -154,7 +154,7 @@ def stated_arrays(
     else:
         error = relative_std * np.abs(H) if relative_std is not None else _like(H, real_array(std, "std of a FRF"))
         found["covariance"] = independent(np.asarray(error)[keep] ** 2)
-    found["trusted"] = valid_frequencies(found["frequency_hz"], found["response"], found["covariance"])
+    found["valid"] = valid_frequencies(found["frequency_hz"], found["response"], found["covariance"])
     return found
 
 
@@ -201,7 +201,7 @@ def _by_coherence(H: ComplexArray, coherence: Array, averages: float, keep: slic
 KNOWN, _BRIDGED = 0.1, 0.3
 
 
-def trusted_lines(frequency_hz: Array, relative_std: Array, excited: np.ndarray) -> np.ndarray:
+def valid_lines(frequency_hz: Array, relative_std: Array, excited: np.ndarray) -> np.ndarray:
     """Lines of the widest band (in octaves) that is known to 10 %, as a mask (nf,).
 
     A moving median over five lines decides. Within the band no excited line is left out: a resonance between

@@ -41,7 +41,7 @@ class Coefficient:
     relative_std: Array
     low: Array
     high: Array
-    trusted: np.ndarray
+    valid: np.ndarray
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -61,7 +61,7 @@ class RelativeGain:
     frequency_hz: Array
     gain: ComplexArray
     std: Array
-    trusted: np.ndarray
+    valid: np.ndarray
 
     def __post_init__(self) -> None:
         _freeze(self)
@@ -191,12 +191,12 @@ class Interaction(Plain):
     @property
     def largest_rga_number(self) -> float:
         """The largest sum of |RGA - I| in the valid band."""
-        return float(self.relative_gain.number[self.frf.trusted].max())
+        return float(self.relative_gain.number[self.frf.valid].max())
 
     @property
     def closing_the_others(self) -> list[dict[str, Any]]:
         """By how much each loop's plant changes at most in the valid band when the others are closed."""
-        use = self.frf.trusted
+        use = self.frf.valid
         return [
             {
                 "loop": e.loop,

@@ -91,8 +91,8 @@ class Prediction(Plain):
     """What one controller will make of one loop at one operating point.
 
     `sensitivity` is S as a 1 x 1 FRF on the plant's valid lines, with the plant's covariance carried through
-    (|dS| = |C S²| |dP|, to first order) and `held_by` the controller. `stability` is the count's word on the same
-    lines: where it is not "stable" the rest says little. `step` is None without a usable fit.
+    (|dS| = |C S²| |dP|, to first order) and `recorded_under` the controller. `stability` is the count's word on
+    the same lines: where it is not "stable" the rest says little. `step` is None without a usable fit.
     """
 
     IN_JSON = keys(
@@ -108,9 +108,9 @@ class Prediction(Plain):
     @property
     def controller(self) -> Controller:
         """The controller that is predicted."""
-        if self.sensitivity.held_by is None:
+        if self.sensitivity.recorded_under is None:
             raise WrongUseError("a prediction names its controller", "none")
-        return self.sensitivity.held_by
+        return self.sensitivity.recorded_under
 
     @property
     def complementary(self) -> FRF:
@@ -154,7 +154,7 @@ class Band:
 class Comparison:
     """A prediction against a measurement under its controller, or a plant's FRF against another, over common lines.
 
-    `outcome` is "held", "did not hold" (p-value below `level`) or "cannot tell" (the data are too few or too noisy
+    `outcome` is "confirmed", "refuted" (p-value below `level`) or "cannot tell" (the data are too few or too noisy
     to contradict: they would not notice a change of the plant's gain by `noticed_db` four times in five, or less).
     `worst` is the band that differs most. Peaks of |S|, of two plants of |P|, are over the common lines, at face value.
     """

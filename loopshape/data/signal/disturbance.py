@@ -18,17 +18,17 @@ from loopshape.data.control.controller import Controller
 
 @dataclass(frozen=True, eq=False)
 class Disturbance:
-    """Power (nf,) of a loop's error on its lines, in the output's unit squared, while `held_by` closed the loop.
+    """Power (nf,) of a loop's error on its lines, in the output's unit squared, while `recorded_under` closed the loop.
 
     The powers add up to the mean square; `scatter` (nf,) is the variance of each, 0 for a spectrum that is given. What
-    disturbs may enter anywhere in the loop, the sensor's noise included: all of it goes through S. Without `held_by`
-    it is the spectrum of the output in open loop. `rms` is that of the error under that controller.
+    disturbs may enter anywhere in the loop, the sensor's noise included: all of it goes through S. Without
+    `recorded_under` it is the spectrum of the output in open loop. `rms` is that of the error under that controller.
     """
 
     frequency_hz: Array
     power: Array
     scatter: Array
-    held_by: Controller | None = None
+    recorded_under: Controller | None = None
     loop: str = ""
     recording: str = ""
     operating_point: Mapping[str, float] = field(default_factory=dict)
@@ -47,12 +47,12 @@ class Disturbance:
     @classmethod
     @gated
     def from_spectrum(
-        cls, frequency_hz: ArrayLike, density: ArrayLike, *, held_by: Controller | None = None, loop: str = ""
+        cls, frequency_hz: ArrayLike, density: ArrayLike, *, recorded_under: Controller | None = None, loop: str = ""
     ) -> Disturbance:
         """A disturbance at the plant's output from its one-sided density (nf,) in unit²/Hz, straight between lines.
 
-        With `held_by` it is the density of the error under that controller. Refuses fewer than two frequencies, and
-        frequencies that do not rise.
+        With `recorded_under` it is the density of the error under that controller. Refuses fewer than two
+        frequencies, and frequencies that do not rise.
 
         >>> import loopshape as ls
         >>> round(ls.Disturbance.from_spectrum([1.0, 11.0], [0.4, 0.4]).rms, 6)
@@ -68,7 +68,7 @@ class Disturbance:
         fine = np.unique(np.concatenate([np.linspace(a, b, 21) for a, b in pairwise(f)]))
         width = np.diff(np.concatenate([fine[:1], 0.5 * (fine[1:] + fine[:-1]), fine[-1:]]))
         power = np.interp(fine, f, values) * width
-        return cls(fine, power, np.zeros(fine.size), held_by, loop)
+        return cls(fine, power, np.zeros(fine.size), recorded_under, loop)
 
     @property
     def rms(self) -> float:

@@ -328,8 +328,8 @@ def opened(loop: Loop, disturbance: Disturbance | None, rate_hz: float) -> Opene
         return None
     rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
     f, power = disturbance.frequency_hz[rows], disturbance.power[rows]
-    if disturbance.held_by is None:
+    if disturbance.recorded_under is None:
         return f, power
     plant = loop.plant if loop.raw is None else loop.raw
     P = continued(plant, f, loop.integrators or 0).response
-    return f, power * np.abs(1.0 + disturbance.held_by.response(f) * P) ** 2
+    return f, power * np.abs(1.0 + disturbance.recorded_under.response(f) * P) ** 2

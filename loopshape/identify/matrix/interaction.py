@@ -46,7 +46,7 @@ def interaction(
         raise WrongUseError(
             "a controller is of no loop of this FRF", ", ".join(stray), f"name them by loop: {', '.join(names)}"
         )
-    square.trusted_lines()  # refuses a FRF without any
+    square.valid_lines()  # refuses a FRF without any
     pairs = list(combinations(range(len(names)), 2))
     chosen = tuple(bands) if bands is not None else octaves(square)
     return Interaction(
@@ -121,7 +121,7 @@ def interaction_coefficient(frf: FRF, i: int, j: int, loops: tuple[str, str]) ->
     """
     pair = _LoopPair(frf, i, j)
     low, high = pair.bounds(np.arange(frf.frequency_hz.size))
-    return Coefficient(loops, frf.frequency_hz, pair.coefficient, pair.relative_std, low, high, frf.trusted)
+    return Coefficient(loops, frf.frequency_hz, pair.coefficient, pair.relative_std, low, high, frf.valid)
 
 
 def relative_gain(frf: FRF) -> RelativeGain:
@@ -138,7 +138,7 @@ def relative_gain(frf: FRF) -> RelativeGain:
     G = invert(H, frf.frequency_hz, "a FRF")
     gain = H * G.transpose(0, 2, 1)
     std = np.stack([_deviation(h, g, c) for h, g, c in zip(H, G, frf.covariance, strict=True)])
-    return RelativeGain(frf.outputs, frf.inputs, frf.frequency_hz, gain, std, frf.trusted)
+    return RelativeGain(frf.outputs, frf.inputs, frf.frequency_hz, gain, std, frf.valid)
 
 
 def _deviation(H: ComplexArray, G: ComplexArray, C: ComplexArray) -> Array:
@@ -161,7 +161,7 @@ _MORE = np.geomspace(1.1, 1000.0, 40)  # times the averages that are tried
 
 def octaves(frf: FRF) -> tuple[tuple[float, float], ...]:
     """Octaves between whole powers of two Hz, cut to the valid band; refuses a FRF without one."""
-    low, high = frf.trusted_lines().trusted_band_hz
+    low, high = frf.valid_lines().valid_band_hz
     whole = 2.0 ** np.arange(np.floor(np.log2(low)) + 1.0, np.ceil(np.log2(high)))
     edges = [low, *whole[(whole > low) & (whole < high)].tolist(), high]
     return tuple(pairwise(edges))
@@ -184,7 +184,7 @@ def _band_verdicts(pair: _LoopPair, loops: tuple[str, str], limit_db: float, ban
 
 def _verdict(pair: _LoopPair, loops: tuple[str, str], limit_db: float, band: tuple[float, float]) -> BandVerdict:
     f = pair.frequency_hz
-    lines = np.flatnonzero(pair.trusted & (f >= band[0]) & (f <= band[1]))
+    lines = np.flatnonzero(pair.valid & (f >= band[0]) & (f <= band[1]))
     if not lines.size:
         return BandVerdict(loops, band, "undecided", limit_db, 0, averages_factor=float("inf"), hole_hz=band)
     limit = float(from_db(limit_db))
@@ -264,7 +264,7 @@ class _LoopPair:
         self.freedom = frf.variance_freedom
         self.frequency_hz: Array = frf.frequency_hz
         self.line_overlap = frf.line_overlap
-        self.trusted: np.ndarray = frf.trusted
+        self.valid: np.ndarray = frf.valid
 
     @property
     def coefficient(self) -> ComplexArray:

@@ -13,7 +13,7 @@ import numpy as np
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF, joined
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
@@ -255,16 +255,16 @@ def _frf(
     sound = plant.sound(np.arange(f.size))
     relative = np.where(sound, relative, np.inf)
     notes += drowned_note(f, sound)
-    trusted = trusted_lines(f, relative, np.ones(f.size, dtype=bool)) & sound
+    valid = valid_lines(f, relative, np.ones(f.size, dtype=bool)) & sound
     for part in parts:
-        trusted = trusted if part.unresolved is None else trusted & ~part.unresolved
-    notes += band_note(f, trusted) + _wiring(recordings, loops, outputs, parts)
+        valid = valid if part.unresolved is None else valid & ~part.unresolved
+    notes += band_note(f, valid) + _wiring(recordings, loops, outputs, parts)
     return FRF(
         frequency_hz=f,
         response=plant.response,
         covariance=plant.covariance,
         noise_covariance=plant.noise,
-        trusted=trusted,
+        valid=valid,
         inputs=tuple(loop.control for loop in loops),
         outputs=tuple(_row(run, expression) for expression in outputs),
         method=f"P = S_P S_I^-1, {parts[0].method}",

@@ -62,7 +62,7 @@ def smoothed(frf: FRF, band_hz: Band = None) -> tuple[FRF, Scatter]:
     """
     done = _DONE.setdefault(frf, {})
     if band_hz not in done:
-        done[band_hz] = _smoothed(frf.between(*band_hz) if band_hz else frf.trusted_lines())
+        done[band_hz] = _smoothed(frf.between(*band_hz) if band_hz else frf.valid_lines())
     return done[band_hz]
 
 
@@ -316,7 +316,7 @@ def _seconds(frf: FRF, starts: np.ndarray, smooth: np.ndarray, variance: Array, 
     low, high = np.minimum(variance[1:], variance[:-1]), np.maximum(variance[1:], variance[:-1])
     second = np.zeros(starts.size, dtype=bool)
     second[1:] = whole[1:] & whole[:-1] & (starts[:-1] % (2 * size) == 0) & (high <= _ALIKE * low)
-    second[1:] &= frf.trusted[starts[1:]] == frf.trusted[starts[:-1]]
+    second[1:] &= frf.valid[starts[1:]] == frf.valid[starts[:-1]]
     second[1:] &= np.log(f[ends[1:] - 1] / f[starts[:-1]]) < _WIDEST
     return second
 
@@ -337,7 +337,7 @@ def _variance(v: np.ndarray, starts: np.ndarray, overlap: float) -> np.ndarray:
 
 def _grouped(frf: FRF, starts: np.ndarray) -> FRF:
     """The FRF on groups of frequencies."""
-    made: dict[str, Any] = {"trusted": frf.trusted[starts]}
+    made: dict[str, Any] = {"valid": frf.valid[starts]}
     for names, mean in ((_VARIANCES, partial(_variance, overlap=frf.line_overlap)), (_AVERAGED, _means)):
         made |= {n: mean(values, starts) for n in names if (values := getattr(frf, n)) is not None}
     return replace(frf, **made)

@@ -12,7 +12,7 @@ from loopshape.core.interrupts import undivided
 from loopshape.data.signal.run import Run
 from loopshape.io.config_table import ConfigTable
 from loopshape.io.files import make_folder, plain_name, short, staged
-from loopshape.io.folder_lock import held
+from loopshape.io.folder_lock import locked
 from loopshape.io.input_guard import own
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.run_folder import RUN_TOML, has_run, read_run_words, refuse_foreign, write_run
@@ -28,7 +28,7 @@ def replace_run(folder: Path, run: Run) -> None:
     being recorded, however little of it is being written now; a link to another folder is not followed.
     """
     make_folder(folder)
-    with _campaign_held(folder), held(folder):
+    with _campaign_held(folder), locked(folder):
         if not has_run(folder):
             refuse_foreign(folder)
         with staged(folder, "new") as stage:
@@ -44,7 +44,7 @@ def replace_run(folder: Path, run: Run) -> None:
 def _campaign_held(folder: Path) -> AbstractContextManager[None]:
     """Hold the campaign that a run belongs to, which names its tables only once several of them are whole."""
     above = folder.resolve().parent
-    return held(above) if (above / INDEX).is_file() else nullcontext()
+    return locked(above) if (above / INDEX).is_file() else nullcontext()
 
 
 def _remove_all_but_words(folder: Path) -> None:

@@ -23,7 +23,7 @@ from loopshape.data.signal.run import Run
 from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles
 from loopshape.io.files import PART, inside, leave_memory, make_folder, reading, remove_part, short, write_toml
 from loopshape.io.folder_lock import alone as alone
-from loopshape.io.folder_lock import held, hold_of
+from loopshape.io.folder_lock import hold_of, locked
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run.journal import FILE as JOURNAL
 from loopshape.io.run.journal import note, note_all, read_journal
@@ -178,7 +178,7 @@ def start_run(folder: Path, run: Run, tables: Sequence[str] = ()) -> None:
     """
     header = _header(run)
     make_folder(folder)
-    with held(folder):
+    with locked(folder):
         sweep(folder)
         if has_run(folder):
             _resume(folder, header)
@@ -270,7 +270,7 @@ def add_recording(folder: Path, recording: Recording, *, again: bool = False) ->
     Refuses a run that another process is writing, a recording that is there already, another rate, stamps off the
     rate, a file that does not end in `.parquet`, and words that `read_run` would refuse.
     """
-    with held(folder):
+    with locked(folder):
         words = read_run_words(folder)
         there = next((e.table for e in words.tables("recording") if _name(e.table) == recording.info.name), None)
         if there is None:
@@ -330,7 +330,7 @@ def adopt(folder: Path, run: Run, entries: Sequence[Mapping[str, Any]], order: S
 
     Refuses a run that another process is writing, and one whose header differs. What is named is not named again.
     """
-    with held(folder):
+    with locked(folder):
         header = _header(run)
         words = read_run_words(folder) if has_run(folder) else ConfigTable(header, "the run")
         _refuse_other(folder, words, header)

@@ -13,11 +13,11 @@ from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import write_text_whole
 from loopshape.io.write.frf_words import frf_header
 
-FORMAT = "loopshape-frf-csv/1"
+FORMAT = "loopshape-frf-csv/2"
 
 
 def frf_csv(path: Path, frf: FRF, *, header: bool = False) -> None:
-    """Write a FRF as a table: frequency_hz, re, im, std, coherence, trusted (1 or 0).
+    """Write a FRF as a table: frequency_hz, re, im, std, coherence, valid (1 or 0).
 
     `std` is sqrt(E|d|²) of the complex error, in the response's unit. A larger FRF than 1 x 1 has re, im
     and std of each element, named by output and input, and before the coherence the covariances between elements p > q
@@ -27,10 +27,10 @@ def frf_csv(path: Path, frf: FRF, *, header: bool = False) -> None:
     columns = _elements(frf) | _between_elements(frf)
     refuse_doubles([*columns], str(path), "columns")
     above = [f"# {FORMAT}", "# " + json.dumps({"lines": frf.frequency_hz.size} | frf_header(frf))] if header else []
-    rows = [*above, ",".join([*columns, "coherence", "trusted"])]
+    rows = [*above, ",".join([*columns, "coherence", "valid"])]
     for k, values in enumerate(zip(*columns.values(), strict=True)):
         coherence = "" if frf.coherence is None else repr(float(frf.coherence[k]))
-        rows.append(",".join([*(repr(float(v)) for v in values), coherence, str(int(frf.trusted[k]))]))
+        rows.append(",".join([*(repr(float(v)) for v in values), coherence, str(int(frf.valid[k]))]))
     write_text_whole(path, "\n".join(rows) + "\n")
 
 

@@ -14,7 +14,9 @@ from loopshape.io.config_table import ConfigTable
 from loopshape.io.files import short
 from loopshape.io.run.run_tables import controller_table, read_controller
 
-ARRAYS = ("frequency_hz", "response", "covariance", "trusted")
+#: names before version 2 of the formats, and those of now
+RENAMED = {"trusted": "valid", "held_by": "recorded_under"}
+ARRAYS = ("frequency_hz", "response", "covariance", "valid")
 PERHAPS = (
     "coherence",
     "input_power",
@@ -53,13 +55,27 @@ def frf_arrays(frf: FRF) -> dict[str, Any]:
 
 def frf_header(frf: FRF) -> dict[str, Any]:
     """Everything of a FRF but its arrays, ready for JSON; `frf_words` reads it back."""
-    held = None if frf.held_by is None else controller_table(frf.held_by) | {"rate_hz": frf.held_by.rate_hz}
-    made: dict[str, Any] = json_ready({"held_by": held} | {word: getattr(frf, word) for word in _WORDS})
+    held = (
+        None
+        if frf.recorded_under is None
+        else controller_table(frf.recorded_under) | {"rate_hz": frf.recorded_under.rate_hz}
+    )
+    made: dict[str, Any] = json_ready({"recorded_under": held} | {word: getattr(frf, word) for word in _WORDS})
     return made
 
 
-def _held_by(header: Mapping[str, Any], where: str) -> Controller | None:
-    held = header.get("held_by")
+def is_format(found: object, now: str) -> bool:
+    """Whether a file's format is that of now or the version before, whose names `upgraded` turns into those of now."""
+    return found in (now, now.removesuffix("2") + "1")
+
+
+def upgraded(named: Mapping[str, Any]) -> dict[str, Any]:
+    """Arrays or words of a FRF's file under the names of now."""
+    return {RENAMED.get(name, name): value for name, value in named.items()}
+
+
+def _recorded_under(header: Mapping[str, Any], where: str) -> Controller | None:
+    held = header.get("recorded_under")
     if not held:
         return None
     table = {key: value for key, value in held.items() if key != "rate_hz"} | {"name": header["loop"]}
@@ -91,9 +107,10 @@ def _refuse_half_characters(header: Mapping[str, Any], where: str) -> None:
 
 def frf_words(header: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Keywords of `FRF` from its header; words that are missing or of a wrong kind raise what Python raises."""
+    header = upgraded(header)
     _refuse_half_characters(header, where)
     return {
-        "held_by": _held_by(header, where),
+        "recorded_under": _recorded_under(header, where),
         "inputs": tuple(map(str, header["inputs"])),
         "outputs": tuple(map(str, header["outputs"])),
         "method": str(header["method"]),

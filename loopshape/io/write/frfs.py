@@ -14,14 +14,23 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.signal.run import Run
 from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import inside, make_folder, reading, write_whole
-from loopshape.io.folder_lock import held
+from loopshape.io.folder_lock import locked
 from loopshape.io.input_guard import own
 from loopshape.io.run.run_folder import excited_names, has_run, marks_as_read, read_run
 from loopshape.io.size_limit import check_zip
 from loopshape.io.write.frf_csv import frf_csv as frf_csv  # tables for people stand beside the FRFs
-from loopshape.io.write.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
+from loopshape.io.write.frf_words import (
+    ARRAYS,
+    PERHAPS,
+    RENAMED,
+    frf_arrays,
+    frf_header,
+    frf_words,
+    is_format,
+    upgraded,
+)
 
-FORMAT = "loopshape-frf/1"
+FORMAT = "loopshape-frf/2"
 FOLDER, MATRICES = "frf", "matrix"
 
 
@@ -47,7 +56,7 @@ def _write_all(run_folder: Path, frfs: Sequence[FRF], run: Run | None, place: st
     inside(run_folder, place, "the folder of a run's FRFs")
     paths = [inside(run_folder / place, name, "the name of a FRF's recording and loop") for name in names]
     sources = {} if run is None else marks_as_read(run, {name for frf in frfs for name in _names(frf)})
-    with held(run_folder):
+    with locked(run_folder):
         for path, frf in zip(paths, frfs, strict=True):
             _write(path, frf, _source(sources, frf))
         if run is not None:  # FRFs of recordings that the run no longer has, or estimated before with other loops
@@ -143,8 +152,8 @@ def _read(path: Path) -> tuple[FRF, str]:
         check_zip(path)
         header = json.loads(str(file["header"]))
         found = header["format"]
-        arrays = {name: file[name] for name in (*ARRAYS, *PERHAPS) if name in file.files}
-    if found != FORMAT:
+        arrays = upgraded({name: file[name] for name in (*ARRAYS, *PERHAPS, *RENAMED) if name in file.files})
+    if not is_format(found, FORMAT):
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(found), "estimate it again")
     with reading(path, "FRF", WrongUseError):
         return FRF(**arrays, **frf_words(header, str(path))), str(header.get("source", ""))

@@ -14,9 +14,18 @@ from loopshape.core.json_ready import json_ready
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import INDICATORS, Indicators, Prediction, Step
 from loopshape.io.files import make_folder, reading, write_whole
-from loopshape.io.write.frf_words import ARRAYS, PERHAPS, frf_arrays, frf_header, frf_words
+from loopshape.io.write.frf_words import (
+    ARRAYS,
+    PERHAPS,
+    RENAMED,
+    frf_arrays,
+    frf_header,
+    frf_words,
+    is_format,
+    upgraded,
+)
 
-FORMAT = "loopshape-predictions/1"
+FORMAT = "loopshape-predictions/2"
 _STEP = ("time_s", "response", "low", "high")
 #: |S| and its standard deviation beyond these are no closed loop's: their squares leave the numbers
 _LEAST, _MOST = 1e-20, 1e20
@@ -61,14 +70,14 @@ def read_predictions(path: Path) -> tuple[Prediction, ...]:
         header = json.loads(str(file["header"]))
         found = header["format"]
         arrays = {name: file[name] for name in file.files if name != "header"}
-    if found != FORMAT:
+    if not is_format(found, FORMAT):
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(found), "predict again")
     with reading(path, "predictions", WrongUseError):
         return tuple(_read(words, arrays, k, str(path)) for k, words in enumerate(header["predictions"]))
 
 
 def _read(words: Mapping[str, Any], arrays: Mapping[str, Any], k: int, where: str) -> Prediction:
-    own = {name: arrays[f"{k}.{name}"] for name in (*ARRAYS, *PERHAPS) if f"{k}.{name}" in arrays}
+    own = upgraded({name: arrays[key] for name in (*ARRAYS, *PERHAPS, *RENAMED) if (key := f"{k}.{name}") in arrays})
     sensitivity = FRF(**own, **frf_words(words["sensitivity"], where))
     _refuse_sizes(sensitivity)
     step = None

@@ -37,7 +37,7 @@ class ErrorRms:
 
 def error_rms(loop: Loop, disturbance: Disturbance) -> ErrorRms:
     """What a loop makes of a disturbance; the loop is taken as stable. Raises WrongUseError for another rate."""
-    held = disturbance.held_by
+    held = disturbance.recorded_under
     if held is not None and held.rate_hz != loop.controller.rate_hz:
         raise WrongUseError(
             f"what disturbs loop {loop.plant.loop} was recorded at another rate than the controller's",

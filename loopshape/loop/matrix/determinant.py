@@ -164,7 +164,7 @@ def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
     plant, rate_hz = loops.plant, loops.controllers[0].rate_hz
     own = np.nan_to_num(np.abs(D) ** 2 * variance, posinf=0.0)  # nan: D passes 0 on a line
     made = FRF(
-        loops.frequency_hz, (D - 1.0)[:, None, None], own[:, None, None].astype(complex), plant.trusted, ("1",),
+        loops.frequency_hz, (D - 1.0)[:, None, None], own[:, None, None].astype(complex), plant.valid, ("1",),
         ("1",), f"det(I + L) - 1 of {plant.method}", plant.recording, "+".join(loops.names), plant.rate_hz,
         line_overlap=plant.line_overlap, variance_freedom=plant.variance_freedom,
     )  # fmt: skip

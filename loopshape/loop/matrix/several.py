@@ -132,7 +132,7 @@ def _loop_matrix(
     held: Sequence[Controller],
 ) -> tuple[LoopMatrix, list[str]]:
     """The loops on the lines that a check looks at, and what had to be assumed of the plant."""
-    lines = frf.between(*several.band_hz) if several.band_hz else frf.trusted_lines()
+    lines = frf.between(*several.band_hz) if several.band_hz else frf.valid_lines()
     known = {one.loop: one for one in held}
     stood = tuple(known[name] for name in names) if set(names) <= set(known) else ()
     poles = several.integrators, several.unstable_poles
@@ -194,7 +194,7 @@ def plants_met(name: str, matrices: Mapping[str, LoopMatrix]) -> tuple[FRF, ...]
         replace(
             equivalent_plant(m.plant, m.names, name, {own.loop: own for own in m.controllers}).closed,
             recording=recording,
-            held_by=None,
+            recorded_under=None,
         )
         for recording, m in matrices.items()
     )

@@ -75,7 +75,7 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
     is interpolated (`algebra.regrid`), and what a straight line misses of it is counted as an error: the note says so.
     Empty FRFs do not exist: without a common line the arrays have none, and the FRFs are those given.
     """
-    if not (predicted.trusted.any() and measured.trusted.any()):
+    if not (predicted.valid.any() and measured.valid.any()):
         return predicted, measured, np.zeros(0), _NOTHING
     reach = [(frf.frequency_hz[0], frf.frequency_hz[-1]) for frf in (predicted, measured)]
     ends = min(low for low, _ in reach), max(high for _, high in reach)
@@ -107,7 +107,7 @@ def _clear_of_the_ends(frf: FRF, lowest_hz: float, highest_hz: float) -> np.ndar
     small enough: among lines of about that error this picks those whose variance came out too small (a sixth, with four
     periods). As many lines as share a variance's estimate are left out there, a quarter of the band at most.
     """
-    f, mask, rows = frf.frequency_hz, frf.trusted.copy(), np.flatnonzero(frf.trusted)
+    f, mask, rows = frf.frequency_hz, frf.valid.copy(), np.flatnonzero(frf.valid)
     share = min(round(frf.variance_pooled), rows.size // 4) if frf.variance_freedom < KNOWN else 0
     if share and f[rows[0]] > lowest_hz * (1.0 + 1e-9):
         mask[rows[:share]] = False

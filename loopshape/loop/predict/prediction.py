@@ -56,7 +56,7 @@ def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
 def _one(loop: Loop, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int) -> Prediction:
     stability = closed_loop_stability(loop)
     plant = loop.plant if loop.raw is None else loop.raw  # smoothed lines share errors, which a comparison cannot know
-    S = replace(feedback(plant, loop.controller).S_o, held_by=loop.controller, loop=plant.loop)
+    S = replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
     if stability.outcome != "stable":
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
     if fit is None:
@@ -80,9 +80,9 @@ def _without_fit(S: FRF, stability: str, seed: int) -> tuple[Step | None, tuple[
 
 def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
     """A note where the fit's S is another than that of the lines: a step rests on it."""
-    assert S.held_by is not None
+    assert S.recorded_under is not None
     f = S.frequency_hz
-    apart = np.abs(db((1.0 + S.held_by.response(f) * fit.model.response(f)) * S.siso))
+    apart = np.abs(db((1.0 + S.recorded_under.response(f) * fit.model.response(f)) * S.siso))
     std = db(1.0 + S.relative_std[:, 0, 0])
     k = int(np.argmax(np.maximum(apart - 2.0 * std, 0.0)))
     if apart[k] - 2.0 * std[k] < FIT_APART_DB:
@@ -94,8 +94,8 @@ def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
 def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
     """Whether S measured under the predicted controller (`estimate_sensitivity`, or from a FRF) bears a prediction out.
 
-    The statistic is that of `check.agreement`; `tolerance_db` is a rms deviation of |S| that counts as none. "held"
-    means that these data agree, and would have noticed a change of the plant's gain of 1 dB (or of twice
+    The statistic is that of `check.agreement`; `tolerance_db` is a rms deviation of |S| that counts as none.
+    "confirmed" means that these data agree, and would have noticed a change of the plant's gain of 1 dB (or of twice
     the tolerance); "cannot tell" that they would not. Lines that differ are interpolated, and it is noted.
 
     Misleads: variances that are too large (a sweep's) make p-values too large, too small ones report a mismatch too
@@ -162,7 +162,7 @@ def _judged(
     p_value, bands = judged(lines)
     noticed = noticed_db(lines, level)
     sharp = noticed <= max(NOTICED_DB, 2.0 * tolerance_db)
-    outcome = "did not hold" if p_value < level else "held" if sharp else "cannot tell"
+    outcome = "refuted" if p_value < level else "confirmed" if sharp else "cannot tell"
     return replace(
         _compared(loop, first, second, outcome, level, tolerance_db, notes),
         p_value=p_value,
@@ -196,7 +196,7 @@ def _compared(
 
 def _checked(prediction: Prediction, measured: FRF) -> tuple[str, ...]:
     """Notes on what a measurement does not say; refuses one of another loop or controller."""
-    controller, held = prediction.controller, measured.held_by
+    controller, held = prediction.controller, measured.recorded_under
     if prediction.loop not in ("", measured.loop) or (
         measured.rate_hz > 0.0 and measured.rate_hz != controller.rate_hz
     ):
@@ -231,13 +231,13 @@ def sensitivity_of(frf: FRF) -> FRF:
     It is the same number as the direct estimate from the recording (`estimate_sensitivity`), and less sure where the
     plant's input is below the noise: prefer that where there is a recording.
     """
-    if frf.held_by is None:
+    if frf.recorded_under is None:
         raise WrongUseError(
             f"the sensitivity at {frf.recording} does not follow from its FRF",
             "no controller is known to have closed it",
             "give the recordings, or name the controller in run.toml",
         )
-    return replace(feedback(frf, frf.held_by).S_o, held_by=frf.held_by, loop=frf.loop)
+    return replace(feedback(frf, frf.recorded_under).S_o, recorded_under=frf.recorded_under, loop=frf.loop)
 
 
 def compare_step(measured: StepComparison, prediction: Prediction) -> StepComparison:

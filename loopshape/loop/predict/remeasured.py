@@ -90,7 +90,7 @@ def measured_of(
     if exciting:
         return tuple(estimate_sensitivity(r, loop, settings) for r in exciting)
     return tuple(
-        sensitivity_of(frf) for frf in frfs if frf.loop == loop.name and frf.held_by is not None
+        sensitivity_of(frf) for frf in frfs if frf.loop == loop.name and frf.recorded_under is not None
         and _here(frf.operating_point, frf.parameters, prediction)
     )  # fmt: skip
 

@@ -145,9 +145,9 @@ def _own_poles(part: Part) -> int | None:
     for frf in part.plants:
         if frf.open_loop:
             counts.add(0)
-        elif frf.held_by is not None and frf.response.shape[1:] == (1, 1):
+        elif frf.recorded_under is not None and frf.response.shape[1:] == (1, 1):
             asked = Requirements(frf.loop, integrators=part.integrators)
-            counts.add(loops_of([frf], frf.held_by, asked)[0][0].unstable_poles)
+            counts.add(loops_of([frf], frf.recorded_under, asked)[0][0].unstable_poles)
         else:
             counts.add(None)
     return counts.pop() if len(counts) == 1 else None

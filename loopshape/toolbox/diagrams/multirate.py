@@ -60,6 +60,6 @@ def multirate(P: FRF, fast: Controller, rate_hz: float) -> FRF:
         own, response=(np.where(images < 0.0, G.conj(), G) * steps).sum(axis=1)[:, None, None],
         covariance=variance[:, None, None] + 0j, noise_covariance=None, coherence=None, input_power=None,
         output_power=None, cross_power=None, multiple_coherence=None, partial_coherence=None, rate_hz=float(rate_hz),
-        trusted=np.asarray(lines.trusted[place].all(axis=1)), held_by=None,
+        valid=np.asarray(lines.valid[place].all(axis=1)), recorded_under=None,
         notes=(*own.notes, f"a filter at {fast.rate_hz:g} Hz folded into the plant"),
     )  # fmt: skip

@@ -82,7 +82,7 @@ def first_record(recording: Recording, loop: LoopSetup, settings: Settings | Non
         )
     settings = settings or Settings()
     every = estimate_frf(recording, loop, settings)
-    frf = every.trusted_lines()
+    frf = every.valid_lines()
     s = loop_signals(recording, loop)
     answers = respond(recording, [s.y, s.u], [s.instrument], 1, settings)
     all_lines = answers.select(np.isin(answers.frequency_hz, every.frequency_hz))

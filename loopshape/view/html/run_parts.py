@@ -44,16 +44,16 @@ def responses(frfs: Sequence[FRF], matrices: Sequence[FRF]) -> Markup:
 
 
 def _response(one: FRF) -> list[Cell | Content]:
-    lines = one.select(one.trusted) if one.trusted.any() else one
+    lines = one.select(one.valid) if one.valid.any() else one
     std = lines.modulus_std[:, 0, 0]
     spread = float(db(1.0 + np.median(std)))
-    low, high = one.trusted_band_hz
+    low, high = one.valid_band_hz
     return [
         named(one.recording, point(one.operating_point, one.parameters)),
         one.loop,
         figure(low),
         figure(high),
-        figure(float(one.trusted.sum())),
+        figure(float(one.valid.sum())),
         figure(float(one.frequency_hz.size)),
         figure(spread, number(spread, 3)),
     ]

@@ -47,7 +47,7 @@ class Trace:
 
 def plant_traces(frfs: Sequence[FRF]) -> list[Trace]:
     """Curves of plants alone, in their valid bands (everywhere where that is empty)."""
-    shown = [frf.select(frf.trusted) if frf.trusted.any() else frf for frf in frfs]
+    shown = [frf.select(frf.valid) if frf.valid.any() else frf for frf in frfs]
     none = np.zeros(0, dtype=complex)
     return [
         _trace(look, {"P": one.siso}, none, one, frf, len(frfs))

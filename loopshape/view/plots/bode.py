@@ -71,7 +71,7 @@ def _measured(top: Axes, side: Axes, loop: Loop, name: str) -> None:
     phase, known = phase_of(loop, name)
     near = np.interp(np.log(f), np.log(loop.frequency_hz), phase)
     shown = known_lines(raw) & np.interp(f, loop.frequency_hz, known).astype(bool)
-    for ax, y, use in ((top, db(value), raw.trusted), (side, nearest_branch(deg(np.angle(value)), near), shown)):
+    for ax, y, use in ((top, db(value), raw.valid), (side, nearest_branch(deg(np.angle(value)), near), shown)):
         limits = ax.get_ylim()
         ax.plot(f[use], y[use], scalex=False, scaley=False, gid="measured", zorder=1.9, **_DOTS)
         ax.set_ylim(limits)

@@ -24,17 +24,17 @@ NORMAL_95 = 1.959964
 FLOOR_DB = -400.0
 #: points of a curve that a print needs: some for each of its columns of dots
 MOST = 20_000
-UNTRUSTED = "untrusted"  # mark of the faint dots
+NOT_VALID = "not valid"  # mark of the faint dots
 
 
-def unwrapped_deg(response: ComplexArray, trusted: np.ndarray | None = None) -> Array:
+def unwrapped_deg(response: ComplexArray, valid: np.ndarray | None = None) -> Array:
     """Phase (nf,) in degrees, continuous over the valid band, the first of them in (-270, 90].
 
-    That branch lets a plant with an integrator start at -90 and go down. Untrusted lines take the branch
+    That branch lets a plant with an integrator start at -90 and go down. Lines outside the valid band take the branch
     nearest to the valid phase around them, so noise there cannot shift the rest by a turn.
     """
     raw = deg(np.angle(response))
-    use = np.ones(raw.size, dtype=bool) if trusted is None or not np.any(trusted) else np.asarray(trusted, dtype=bool)
+    use = np.ones(raw.size, dtype=bool) if valid is None or not np.any(valid) else np.asarray(valid, dtype=bool)
     if not raw.size:
         return raw
     smooth = np.unwrap(raw[use], period=360.0)
@@ -88,17 +88,17 @@ def _extremes(f: Array, curves: Sequence[Array], count: int) -> np.ndarray:
     return np.array(sorted(row for row in rows if row < f.size))
 
 
-def draw_trusted(ax: Axes, x: Array, y: Array, trusted: np.ndarray, **look: Any) -> Line2D:
+def draw_valid(ax: Axes, x: Array, y: Array, valid: np.ndarray, **look: Any) -> Line2D:
     """Valid points as a line, the others as faint dots that do not stretch the axes unless they are all there is."""
-    rest = np.asarray(~trusted, dtype=bool)
+    rest = np.asarray(~valid, dtype=bool)
     if rest.any():
-        size = 2.0 if np.any(trusted) else 4.0
+        size = 2.0 if np.any(valid) else 4.0
         style: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": size, "markeredgewidth": 0.0}
-        ax.add_artist(Line2D(*shown(x[rest], y[rest]), color=look.get("color"), alpha=0.35, gid=UNTRUSTED, **style))
+        ax.add_artist(Line2D(*shown(x[rest], y[rest]), color=look.get("color"), alpha=0.35, gid=NOT_VALID, **style))
     if rest.all():
         seen = np.isfinite(y)
         ax.update_datalim(np.column_stack([x[seen], y[seen]]))
-    return ax.plot(*shown(x[trusted], y[trusted]), **look)[0]
+    return ax.plot(*shown(x[valid], y[valid]), **look)[0]
 
 
 def draw_band(ax: Axes, x: Array, low: Array, high: Array, **look: Any) -> Polygon:
@@ -133,7 +133,7 @@ def hide_inner(*axes: Axes) -> None:
 def shown_band_hz(*frfs: FRF) -> tuple[float, float]:
     """Band to show: all valid bands, and the frequencies within a factor 1.6 around them."""
     low, high = frfs[0].frequency_hz[[0, -1]]
-    bands = np.array([frf.trusted_band_hz for frf in frfs])
+    bands = np.array([frf.valid_band_hz for frf in frfs])
     positive = min(float(frf.frequency_hz[frf.frequency_hz > 0.0][0]) for frf in frfs)
     low, high = max(low, positive), max(float(frf.frequency_hz[-1]) for frf in frfs)
     if np.isfinite(bands).any():
@@ -172,7 +172,7 @@ _SURE = 0.05
 def known_lines(frf: FRF) -> np.ndarray:
     """Valid lines (nf,) of a 1 x 1 FRF whose phase is known, by their own error and the median of five lines'."""
     relative = frf.relative_std[:, 0, 0]
-    return np.asarray(frf.trusted & (relative <= _KNOWN) & (median_filter(relative, 5, mode="nearest") <= _KNOWN))
+    return np.asarray(frf.valid & (relative <= _KNOWN) & (median_filter(relative, 5, mode="nearest") <= _KNOWN))
 
 
 def continuous_deg(response: ComplexArray, relative: Array, known: np.ndarray) -> Array:
@@ -243,7 +243,7 @@ def _draw_dots(ax: Axes, x: Array, y: Array, rows: np.ndarray, **look: Any) -> N
         return
     size = 4.0 if np.all(rows) else 2.0
     style: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": size, "markeredgewidth": 0.0}
-    ax.add_artist(Line2D(x[rows], y[rows], color=look.get("color"), alpha=0.35, gid=UNTRUSTED, **style))
+    ax.add_artist(Line2D(x[rows], y[rows], color=look.get("color"), alpha=0.35, gid=NOT_VALID, **style))
     seen = np.isfinite(x) & np.isfinite(y)
     if np.all(rows) and seen.any():
         ax.update_datalim(np.column_stack([x[seen], y[seen]]))

@@ -28,7 +28,7 @@ from loopshape.view.labels import (
 )
 from loopshape.view.plots.curves import (
     draw_band,
-    draw_trusted,
+    draw_valid,
     fit_decibels,
     fit_degrees,
     frequency_axis,
@@ -46,11 +46,11 @@ _SHADE: dict[str, Any] = {"color": "#F7F4EC", "zorder": 0, "linewidth": 0.0}
 
 @styled()
 def magnitude(frf: FRF, *, ax: Axes | None = None, band: bool = True, **look: Any) -> Axes:
-    """|G| in dB of a 1 x 1 FRF with the 95 % band of its variance; untrusted lines as faint dots."""
+    """|G| in dB of a 1 x 1 FRF with the 95 % band of its variance; lines outside the valid band as faint dots."""
     ax = axes_or_new(ax)
     look = {"color": COLOURS[0], **look}
-    use = frf.trusted
-    draw_trusted(ax, frf.frequency_hz, db(frf.siso), use, **look)
+    use = frf.valid
+    draw_valid(ax, frf.frequency_hz, db(frf.siso), use, **look)
     if band:
         low, high = magnitude_band_db(frf)
         draw_band(ax, frf.frequency_hz[use], low[use], high[use], color=look["color"], alpha=0.25, gid="band")
@@ -71,7 +71,7 @@ def deviations(frf: FRF, *, ax: Axes) -> Axes:
         return ax
     noise = np.real(frf.noise_covariance[:, 0, 0])
     for variance, dash, text in ((frf.variance[:, 0, 0], "--", "std, all"), (noise, ":", "std, noise alone")):
-        use = frf.trusted if frf.trusted.any() else slice(None)
+        use = frf.valid if frf.valid.any() else slice(None)
         points = shown(frf.frequency_hz[use], db(np.sqrt(variance))[use])
         ax.plot(*points, color="0.35", linestyle=dash, linewidth=0.9, label=text)
     fit_decibels(ax)
@@ -82,9 +82,7 @@ def deviations(frf: FRF, *, ax: Axes) -> Axes:
 def phase(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
     """Phase in degrees of a 1 x 1 FRF, continuous, its first valid frequency in (-270, 90]."""
     ax = axes_or_new(ax)
-    draw_trusted(
-        ax, frf.frequency_hz, unwrapped_deg(frf.siso, frf.trusted), frf.trusted, **({"color": COLOURS[0]} | look)
-    )
+    draw_valid(ax, frf.frequency_hz, unwrapped_deg(frf.siso, frf.valid), frf.valid, **({"color": COLOURS[0]} | look))
     frequency_axis(ax, *shown_band_hz(frf))
     fit_degrees(ax)
     ax.set_ylabel("phase [deg]")
@@ -101,7 +99,7 @@ def coherence(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
     if frf.coherence is None:
         _absent(ax, "this estimator gives no coherence")
     else:
-        draw_trusted(ax, frf.frequency_hz, frf.coherence, frf.trusted, **({"color": COLOURS[0]} | look))
+        draw_valid(ax, frf.frequency_hz, frf.coherence, frf.valid, **({"color": COLOURS[0]} | look))
         if frf.averages > 1.0:
             ax.axhline(1.0 / frf.averages, color="0.5", linestyle="--", linewidth=0.8, gid="bias")
     frequency_axis(ax, *shown_band_hz(frf))
@@ -154,7 +152,7 @@ def _absent(ax: Axes, text: str) -> None:
 @styled()
 def shade_band(frf: FRF, *, ax: Axes) -> Axes:
     """Shade the valid band, from its lowest to its highest frequency; nothing where it is empty."""
-    low, high = frf.trusted_band_hz
+    low, high = frf.valid_band_hz
     if np.isfinite(low):
         ax.axvspan(low, high, **_SHADE)
     return ax
@@ -175,7 +173,7 @@ def fitted(fit: Fit, frf: FRF, *, ax: tuple[Axes, Axes], **look: Any) -> tuple[A
 def _beside(phase_deg: Array, f_hz: Array, frf: FRF) -> Array:
     """The fit's phase on the turn of the measured one at the fit's lowest line."""
     k = int(np.argmin(np.abs(frf.frequency_hz - f_hz[0])))
-    measured = unwrapped_deg(frf.siso, frf.trusted)[k]
+    measured = unwrapped_deg(frf.siso, frf.valid)[k]
     return np.asarray(phase_deg + (nearest_branch(phase_deg[:1], measured) - phase_deg[0]))
 
 

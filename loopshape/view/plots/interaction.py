@@ -17,7 +17,7 @@ from loopshape.view.labels import expression, number, point, symbol
 from loopshape.view.plots.curves import (
     FLOOR_DB,
     draw_band,
-    draw_trusted,
+    draw_valid,
     fit_decibels,
     frequency_axis,
     hide_inner,
@@ -43,9 +43,9 @@ def coefficients(found: Interaction, *, ax: Axes | None = None) -> Axes:
     """
     ax = axes_or_new(ax)
     for k, one in enumerate(found.coefficients):
-        colour, use = COLOURS[k % len(COLOURS)], one.trusted
+        colour, use = COLOURS[k % len(COLOURS)], one.valid
         known = use & settled(one.low > 0.0)
-        draw_trusted(ax, one.frequency_hz, db(one.coefficient), known, color=colour, label=_pair_text(one.loops))
+        draw_valid(ax, one.frequency_hz, db(one.coefficient), known, color=colour, label=_pair_text(one.loops))
         low, high = np.maximum(db(one.low), FLOOR_DB), np.minimum(db(one.high), _CEILING_DB)
         draw_band(ax, one.frequency_hz[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
     frequency_axis(ax, *shown_band_hz(found.frf))
@@ -101,11 +101,11 @@ def relative_gains(found: Interaction, *, ax: Axes | None = None) -> Axes:
     """
     ax = axes_or_new(ax)
     one = found.relative_gain
-    use = one.trusted
+    use = one.valid
     for k, name in enumerate(found.loops if len(found.loops) > 2 else found.loops[:1]):
         colour, size = COLOURS[k % len(COLOURS)], np.abs(one.gain[:, k, k])
         reach = _NORMAL_95 * one.std[:, k, k] / np.sqrt(2.0)
-        draw_trusted(ax, one.frequency_hz, size, use, color=colour, label=symbol(name))
+        draw_valid(ax, one.frequency_hz, size, use, color=colour, label=symbol(name))
         low, high = np.maximum(size - reach, 0.0), size + reach
         draw_band(ax, one.frequency_hz[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
     ax.axhline(1.0, color=QUIET, linewidth=0.8, linestyle="--", gid="one")
@@ -130,8 +130,8 @@ def closing_db(equivalents: Sequence[EquivalentPlant], *, ax: Axes | None = None
     """|closed/open| in dB: what a loop's plant gains where the others close, with its 95 % band."""
     ax = axes_or_new(ax)
     for one, colour, text in _each(equivalents):
-        f, use = one.open.frequency_hz, one.open.trusted
-        draw_trusted(ax, f, db(one.ratio), use, color=colour, label=text)
+        f, use = one.open.frequency_hz, one.open.valid
+        draw_valid(ax, f, db(one.ratio), use, color=colour, label=text)
         low, high = np.maximum(db(one.low), FLOOR_DB), db(one.high)
         draw_band(ax, f[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
     frequency_axis(ax, *shown_band_hz(*(one.open for one in equivalents)))
@@ -146,9 +146,9 @@ def closing_deg(equivalents: Sequence[EquivalentPlant], *, ax: Axes | None = Non
     """Phase of closed/open in degrees, within half a turn, with its 95 % band."""
     ax = axes_or_new(ax)
     for one, colour, text in _each(equivalents):
-        f, use = one.open.frequency_hz, one.open.trusted
+        f, use = one.open.frequency_hz, one.open.valid
         angle = deg(np.angle(one.ratio))
-        draw_trusted(ax, f, angle, use, color=colour, label=text)
+        draw_valid(ax, f, angle, use, color=colour, label=text)
         low, high = angle - one.reach_deg, angle + one.reach_deg
         draw_band(ax, f[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
     frequency_axis(ax, *shown_band_hz(*(one.open for one in equivalents)))
@@ -203,7 +203,7 @@ def _coherence(frf: FRF, values: list[Array] | None, names: Sequence[str], chanc
         return ax
     for k, (value, name) in enumerate(zip(values, names, strict=True)):
         dash = "-" if k < len(COLOURS) else ":"
-        draw_trusted(ax, frf.frequency_hz, value, frf.trusted, color=COLOURS[k % len(COLOURS)], label=name, ls=dash)
+        draw_valid(ax, frf.frequency_hz, value, frf.valid, color=COLOURS[k % len(COLOURS)], label=name, ls=dash)
     if np.isfinite(chance) and chance < 1.0:
         ax.axhline(chance, color=QUIET, linewidth=1.0, linestyle="--", gid="bias", label=f"by chance, {chance:.2g}")
     ax.legend(loc="upper left", ncols=columns, columnspacing=0.7, handlelength=0.9, handletextpad=0.4, fontsize=6.5)

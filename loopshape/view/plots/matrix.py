@@ -12,7 +12,7 @@ from loopshape.data.algebra.propagation import pick
 from loopshape.data.response.frf import FRF
 from loopshape.view.labels import decibel, expression, point, ratio, symbol, unit_of
 from loopshape.view.plots.curves import (
-    draw_trusted,
+    draw_valid,
     fit_decibels,
     fit_degrees,
     frequency_axis,
@@ -65,7 +65,7 @@ def _element(frf: FRF, i: int, j: int, above: Axes, below: Axes) -> None:
     one = pick(frf, [i], [j])
     magnitude(one, ax=above)
     known = np.abs(one.siso) > _KNOWN * np.sqrt(one.variance[:, 0, 0])
-    _phase(one, one.trusted & settled(known), below)
+    _phase(one, one.valid & settled(known), below)
     frequency_axis(below, *shown_band_hz(frf))
     for ax in (above, below):
         shade_band(frf, ax=ax)
@@ -80,7 +80,7 @@ def _phase(one: FRF, known: np.ndarray, ax: Axes) -> None:
         angle = angle - 360.0 * np.ceil((angle - 90.0) / 360.0)
         lines = np.flatnonzero(known)
         angle[lines[1:][np.abs(np.diff(angle[lines])) > 180.0]] = np.nan
-    draw_trusted(ax, one.frequency_hz, angle, known, color=COLOURS[0])
+    draw_valid(ax, one.frequency_hz, angle, known, color=COLOURS[0])
     fit_degrees(ax)
     ax.set_ylabel("phase [deg]")
 
@@ -147,7 +147,7 @@ def matrix_overview(frf: FRF) -> Figure:
 
 def _known_db(frf: FRF) -> Array:
     """Magnitude in dB (nf, ny, nu), nan where it may be zero or outside the valid band."""
-    known = (np.abs(frf.response) > _KNOWN * np.sqrt(frf.variance)) & frf.trusted[:, None, None]
+    known = (np.abs(frf.response) > _KNOWN * np.sqrt(frf.variance)) & frf.valid[:, None, None]
     return np.where(known, db(np.where(known, frf.response, 1.0)), np.nan)
 
 

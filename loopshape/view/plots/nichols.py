@@ -21,7 +21,7 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import Worst, worst_of
 from loopshape.view.key import Crowd, Entry, corner_with_room, curve, key_of, place_entries, place_key
-from loopshape.view.plots.curves import UNTRUSTED, draw_known, loop_phase_deg, nearest_branch
+from loopshape.view.plots.curves import NOT_VALID, draw_known, loop_phase_deg, nearest_branch
 from loopshape.view.plots.nichols_guides import (
     CONTOUR_ENTRIES,
     centre_marks,
@@ -42,7 +42,7 @@ REGION_DB, REGIONS, NEXT_WORST = 15.0, 8, 2
 DOTS = 300
 _REACH_DB, _SEEN_DB = 40.0, 0.4
 _SIZE_IN = (6.35, 4.3)  # what is left of the figure for the axes, about
-_FAINT = (UNTRUSTED, "measured")
+_FAINT = (NOT_VALID, "measured")
 _TICK: dict[str, Any] = {"marker": "o", "color": "black", "markerfacecolor": "white", "markersize": 3.0}
 
 

@@ -94,7 +94,7 @@ def sorted_points(loops: Sequence[Loop]) -> list[int]:
 
 
 def _row(loop: Loop, k: int, required: Requirements | None, verdict: Verdict | None) -> Row:
-    use = loop.plant.trusted if loop.plant.trusted.any() else np.ones(loop.frequency_hz.size, dtype=bool)
+    use = loop.plant.valid if loop.plant.valid.any() else np.ones(loop.frequency_hz.size, dtype=bool)
     f, size = loop.frequency_hz[use], db(loop.S)[use]
     margins, limit = margins_of(loop, k, verdict), None if required is None else closest_db(required)
     name = loop.plant.recording or f"frf {k + 1}"

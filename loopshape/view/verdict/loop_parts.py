@@ -132,7 +132,7 @@ def magnitude_and_phase(
             continue
         phase, known = phase_of(loop, name)
         style = _CONTROLLER if once else look
-        use = np.ones(known.size, dtype=bool) if name == "C" else loop.plant.trusted
+        use = np.ones(known.size, dtype=bool) if name == "C" else loop.plant.valid
         draw_known(top, loop.frequency_hz, db(response(loop, name)), use, **style)
         draw_known(side, loop.frequency_hz, phase, known, **style)
         if k == worst and name != "C":
@@ -153,7 +153,7 @@ def draw_bands(top: Axes, side: Axes | None, loop: Loop, name: str, colour: str)
     """95 % band of a magnitude and of its phase, where it is known; nothing for a FRF without variance."""
     if not np.any(loop.plant.variance):
         return
-    ends, use = band(loop, name), loop.plant.trusted
+    ends, use = band(loop, name), loop.plant.valid
     f = loop.frequency_hz
     floor = np.maximum(ends.low_db, -400.0)
     draw_band(top, f[use], floor[use], ends.high_db[use], color=colour, gid="band", **BAND)
@@ -175,7 +175,7 @@ def sensitivity(
 ) -> None:
     """|S|, |T|, |CS| or |PS| in dB of all loops, with the worst one's 95 % band."""
     for k, (loop, look) in enumerate(zip(loops, looks, strict=True)):
-        draw_known(ax, loop.frequency_hz, db(response(loop, name)), loop.plant.trusted, **look)
+        draw_known(ax, loop.frequency_hz, db(response(loop, name)), loop.plant.valid, **look)
         if k == worst:
             draw_bands(ax, None, loop, name, BAND_COLOUR)
     low, high = shown_band_hz(*(loop.plant for loop in loops))

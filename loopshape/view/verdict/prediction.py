@@ -94,7 +94,7 @@ def comparison_grid(
             draw_band(ax, frf.frequency_hz, *magnitude_band_db(frf), color=colour, alpha=0.25)
             ax.plot(frf.frequency_hz, db(frf.siso), color=colour, linewidth=0.8)
         worst = found.worst
-        if found.outcome == "did not hold" and worst is not None:
+        if found.outcome == "refuted" and worst is not None:
             ax.axvspan(worst.low_hz, worst.high_hz, color=LIMIT, alpha=0.10, linewidth=0.0)
         frequency_axis(ax, band[0], band[1], label=False)
         _panel_title(ax, point(found.operating_point) or found.measured_from, _verdict(found), found.outcome)
@@ -103,9 +103,9 @@ def comparison_grid(
         ax.set_ylim(max(5.0 * np.floor(low / 5.0), -45.0), 12.0)
     _outer_labels(panels[: len(comparisons)], "frequency [Hz]", "|S| [dB]")
     _legend(figure, [("predicted, 95 %", _PREDICTED), ("measured, 95 %", _MEASURED)])
-    held = sum(c.outcome == "held" for c in comparisons)
+    confirmed = sum(c.outcome == "confirmed" for c in comparisons)
     head(
-        figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {held} of {len(comparisons)} confirmed",
+        figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {confirmed} of {len(comparisons)} confirmed",
         f"level {comparisons[0].level:.2g} each, deviations of {comparisons[0].tolerance_db:g} dB rms count as none;"
         " shaded: the band that differs most",
     )  # fmt: skip
@@ -114,8 +114,8 @@ def comparison_grid(
 
 def _verdict(found: Comparison) -> str:
     worst = found.worst
-    if found.outcome != "did not hold" or worst is None:
-        return "confirmed" if found.outcome == "held" else found.outcome
+    if found.outcome != "refuted" or worst is None:
+        return found.outcome
     return f"{worst.sensitivity_db:+.1f} dB at {worst.low_hz:.2g}-{worst.high_hz:.2g} Hz".replace(
         "-", "\N{MINUS SIGN}", int(worst.sensitivity_db < 0.0)
     )
@@ -140,7 +140,7 @@ def steps_grid(steps: Sequence[StepComparison]) -> Figure:
         ax.axhline(1.0, color="0.3", linewidth=0.6, zorder=1.5)
         misses = [step.largest_miss for step in mine if np.isfinite(step.largest_miss)]
         off = f"off by {100.0 * max(misses):.0f} % at most" if misses else "not predicted"
-        _panel_title(ax, place, off, "held" if misses else "cannot tell")
+        _panel_title(ax, place, off, "confirmed" if misses else "cannot tell")
         ax.set_xlim(0.0, last)
         ax.set_ylim(-0.25, 1.75)
     _outer_labels(panels[: len(places)], "time after the step [s]", "output [1]")
@@ -173,7 +173,7 @@ def _grid(count: int) -> tuple[Figure, list[Axes]]:
 
 def _panel_title(ax: Axes, first: str, second: str, outcome: str) -> None:
     ax.set_title(first, fontsize=6.5, loc="left", pad=2.5)
-    colour = LIMIT if outcome == "did not hold" else "0.25"
+    colour = LIMIT if outcome == "refuted" else "0.25"
     box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
     ax.text(0.97, 0.06, second, fontsize=6.5, ha="right", va="bottom", color=colour, transform=ax.transAxes, bbox=box)
     ax.tick_params(labelsize=6.5)

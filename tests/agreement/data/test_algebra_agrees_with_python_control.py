@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.data.algebra import feedback, held, inverse, lower_closure, product, subtract, upper_closure
+from loopshape.data.algebra import feedback, inverse, lower_closure, product, subtract, upper_closure, with_hold
 from loopshape.data.control.controller import Block
 
 F = np.geomspace(0.01, 20.0, 40)
@@ -69,12 +69,12 @@ def test_a_held_plant_is_the_sampled_one_up_to_what_folds_down():
     continuous = P(2j * np.pi * f)
     C = np.full((f.size, 1, 1), 1e-6 + 0j)
     one = ls.FRF(f, continuous[:, None, None], C, np.ones(f.size, dtype=bool), ("u_v",), ("y_rad",), "analyser")
-    ours = held(one, rate)
+    ours = with_hold(one, rate)
     theirs = sampled(np.exp(2j * np.pi * f / rate))
     alias = np.abs(P(2j * np.pi * (rate - f)) / continuous) * f / (rate - f)
     assert np.all(np.abs(ours.siso / theirs - 1.0) < 1.3 * alias + 1e-9)
     assert np.abs(ours.siso / theirs - 1.0)[f < 10.0].max() < 1e-3
-    late = held(one, rate, 0.004)
+    late = with_hold(one, rate, 0.004)
     np.testing.assert_allclose(late.siso / ours.siso, np.exp(-2j * np.pi * f * 0.004), rtol=1e-12)
     np.testing.assert_allclose(ours.variance[:, 0, 0], 1e-6 * np.sinc(f / rate) ** 2, rtol=1e-12)
     assert ours.rate_hz == rate
@@ -91,7 +91,7 @@ def test_discrete_controllers_on_a_held_plant_are_the_discrete_loop():
     two = ls.Controller("b", (Block("pi", {"f_hz": 0.3}),), rate)
     G = np.moveaxis(P(2j * np.pi * f, squeeze=False), -1, 0)
     C = np.zeros((f.size, 4, 4), dtype=complex)
-    p = held(ls.FRF(f, G, C, np.ones(f.size, dtype=bool), ("a_v", "b_v"), ("a_m", "b_m"), "analyser"), rate)
+    p = with_hold(ls.FRF(f, G, C, np.ones(f.size, dtype=bool), ("a_v", "b_v"), ("a_m", "b_m"), "analyser"), rate)
     loop = feedback(p, [one, two])
     z = np.exp(2j * np.pi * f / rate)
     sampled = np.moveaxis(control.c2d(control.ss(P), 1.0 / rate, "zoh")(z, squeeze=False), -1, 0)

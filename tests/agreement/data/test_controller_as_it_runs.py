@@ -11,7 +11,7 @@ from scipy import signal
 
 import loopshape as ls
 from loopshape.core.kernels import biquads
-from loopshape.data.algebra import held
+from loopshape.data.algebra import with_hold
 from loopshape.data.control.block import series_response
 from loopshape.data.control.controller import Block, hold_and_delay
 
@@ -65,7 +65,7 @@ def test_the_hold_is_the_mean_of_a_held_sample():
 def test_a_delay_and_a_hold_in_the_controller_are_those_of_a_held_plant():
     one = np.ones((F.size, 1, 1), dtype=complex)
     plant = ls.FRF(F, one, 0.0 * one, np.ones(F.size, dtype=bool), ("u",), ("y",), "model")
-    in_plant = held(plant, RATE_HZ, 0.004).siso
+    in_plant = with_hold(plant, RATE_HZ, 0.004).siso
     plain = ls.Controller("one", SERIES, RATE_HZ)
     in_controller = replace(plain, computation_delay_s=0.004, added_hold=True)
     np.testing.assert_allclose(in_controller.response(F), plain.response(F) * in_plant, rtol=1e-13)

@@ -86,10 +86,10 @@ def test_thinning_keeps_extremes_moves_nothing_and_stays_within_its_bound() -> N
 def test_many_lines_are_thinned_and_counted() -> None:
     frf = report_run.frf("near", 40.0, 0.1, lines=5000)
     trace = plant_traces([frf])[0]
-    assert trace.lines == int(frf.trusted.sum())
+    assert trace.lines == int(frf.valid.sum())
     assert trace.frequency_hz.size <= 600
     assert set(trace.frequency_hz.tolist()) <= set(frf.frequency_hz.tolist())
-    assert np.isin(frf.frequency_hz[~frf.trusted][-1], trace.dots[0])
+    assert np.isin(frf.frequency_hz[~frf.valid][-1], trace.dots[0])
 
 
 def test_looks_tell_operating_points_apart() -> None:

@@ -111,7 +111,7 @@ def test_quiet_says_nothing(run):
 def test_a_run_of_single_loops_is_refused(tmp_path, run):
     folder = tmp_path / "single"
     one = matrix(0.0)
-    write_frfs(folder, [type(one)(F, one.response[:, :1, :1], one.covariance[:, :1, :1], one.trusted, one.inputs[:1],
+    write_frfs(folder, [type(one)(F, one.response[:, :1, :1], one.covariance[:, :1, :1], one.valid, one.inputs[:1],
                                   one.outputs[:1], "m", "exact", "a", one.rate_hz)])  # fmt: skip
     done = CliRunner().invoke(APP, [str(folder), str(run / "c.toml"), "--require", str(run / "r.toml")])
     assert isinstance(done.exception, ls.errors.WrongUseError)

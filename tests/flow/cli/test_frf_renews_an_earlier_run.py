@@ -51,7 +51,7 @@ def test_the_band_is_new_and_the_rest_is_old(folders):
     within = (old.frequency_hz >= 5.0) & (old.frequency_hz <= 10.0)
     assert np.median(error[inside]) < 0.5 * np.median(before[within])
     (row,) = json.loads(found.stdout)["frfs"]
-    assert row["trusted_from_hz"] == pytest.approx(old.trusted_band_hz[0])
+    assert row["valid_from_hz"] == pytest.approx(old.valid_band_hz[0])
 
 
 def test_another_loop_is_refused_in_a_sentence(folders, tmp_path):

@@ -80,7 +80,7 @@ def frf_of(modes, f_hz, relative=1e-4, seed=0, shifts=None):
         frequency_hz=f_hz,
         response=(P + std * noise)[:, None, None],
         covariance=(std**2 + 0j)[:, None, None],
-        trusted=np.ones(f_hz.size, dtype=bool),
+        valid=np.ones(f_hz.size, dtype=bool),
         inputs=("u",),
         outputs=("y",),
         method="analytic",

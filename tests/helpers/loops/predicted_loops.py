@@ -56,13 +56,13 @@ def measured(
     return ls.FRF(
         f, (P + std * e)[:, None, None], covariance, np.ones(f.size, dtype=bool),
         ("z_a_v",), ("a_rad",), "made", recording="made", loop="a", rate_hz=RATE_HZ, line_overlap=overlap,
-        variance_freedom=freedom, variance_pooled=pooled, held_by=held,
+        variance_freedom=freedom, variance_pooled=pooled, recorded_under=held,
     )  # fmt: skip
 
 
 def predicted(plant: ls.FRF, controller: ls.Controller = NEW) -> ls.Prediction:
     """What a FRF predicts of S under a controller, without a step."""
-    S = replace(feedback(plant, controller).S_o, held_by=controller, loop="a")
+    S = replace(feedback(plant, controller).S_o, recorded_under=controller, loop="a")
     return ls.Prediction(S, "stable")
 
 

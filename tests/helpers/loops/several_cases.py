@@ -39,7 +39,7 @@ def noisy(frf, rng):
     std = np.sqrt(0.5 * frf.variance)
     error = std * (rng.normal(size=std.shape) + 1j * rng.normal(size=std.shape))
     return ls.FRF(
-        frf.frequency_hz, frf.response + error, frf.covariance, frf.trusted, frf.inputs, frf.outputs, "drawn",
+        frf.frequency_hz, frf.response + error, frf.covariance, frf.valid, frf.inputs, frf.outputs, "drawn",
         frf.recording, frf.loop, frf.rate_hz,
     )  # fmt: skip
 

@@ -25,7 +25,7 @@ def matrix_frf(response, covariance=None, f=F, *, error=0.0, seed=None, loop="th
     given = {
         "inputs": tuple(f"z_{name}_v" for name in loop.split("+"))[:nu],
         "outputs": tuple(f"{name}_rad" for name in loop.split("+"))[:ny],
-        "trusted": np.ones(f.size, dtype=bool),
+        "valid": np.ones(f.size, dtype=bool),
         "method": "made up",
         "recording": "r1+r2",
         "loop": loop,

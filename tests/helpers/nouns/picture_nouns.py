@@ -42,7 +42,7 @@ def frf(
         "frequency_hz": f,
         "response": response[:, None, None],
         "covariance": (np.abs(truth) ** 2 * relative**2)[:, None, None].astype(complex),
-        "trusted": coherence > 0.8,
+        "valid": coherence > 0.8,
         "inputs": ("z_theta2_v",),
         "outputs": ("theta2_rad",),
         "method": "local polynomial from n to z and y, 20 s multisine, 6 periods",

@@ -17,7 +17,7 @@ def frf_of(model, name="one", low_hz=0.05, high_hz=100.0, lines=300):
         frequency_hz=f,
         response=np.asarray(model.response(f))[:, None, None],
         covariance=np.full((lines, 1, 1), 1e-20 + 0j),
-        trusted=np.ones(lines, dtype=bool),
+        valid=np.ones(lines, dtype=bool),
         inputs=("z_v",),
         outputs=("y_rad",),
         method="known",

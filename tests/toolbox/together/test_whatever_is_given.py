@@ -74,14 +74,14 @@ CALLS = {
         u=U, y=Y, rate_hz=RATE, excitation=NOISE[1], injection="plant_input", period_s=0.1, controller=C), used_run),
     "FRF.from_arrays": (ls.FRF.from_arrays, dict(
         frequency_hz=F, response=G, relative_std=0.01, inputs=(), outputs=(), rate_hz=RATE, loop="", recording="",
-        operating_point={}, open_loop=False, hold="unknown", method="m", notes=(), held_by=None), used_frf),
+        operating_point={}, open_loop=False, hold="unknown", method="m", notes=(), recorded_under=None), used_frf),
     "FRF.from_arrays, std": (ls.FRF.from_arrays, dict(frequency_hz=F, response=G, std=abs(G), rate_hz=RATE), used_frf),
     "FRF.from_arrays, covariance": (ls.FRF.from_arrays, dict(
         frequency_hz=F, response=G, covariance=abs(G[:, None, None]) ** 2 + 0j), used_frf),
     "FRF.from_arrays, polar": (ls.FRF.from_arrays, dict(
         omega_rad_s=F, magnitude_db=-20.0 + 0 * F, phase_deg=-90.0 + 0 * F, coherence=0.9 + 0 * F, averages=20.0), used_frf),
     "FRF": (ls.FRF, dict(
-        frequency_hz=F, response=G[:, None, None], covariance=1e-4 * abs(G[:, None, None]) + 0j, trusted=F > 0,
+        frequency_hz=F, response=G[:, None, None], covariance=1e-4 * abs(G[:, None, None]) + 0j, valid=F > 0,
         inputs=("u_1",), outputs=("y_1",), method="m", coherence=None, input_power=None, power_per="Hz",
         line_overlap=1.0, variance_freedom=20.0, variance_pooled=1, parameters={}, averages=10.0, recordings=()), used_frf),
     "FRF.from_control": (ls.FRF.from_control, dict(system=CONTROL, frequency_hz=F), used_frf),
@@ -113,7 +113,7 @@ CALLS = {
              used_diagram(ls.diagrams.Diagram((ls.diagrams.Part("C", "e", "u"), part), {"e": "r - y"}, "C"))),
     "Diagram": (ls.diagrams.Diagram, dict(parts=D.parts, sums={"e": "r - y"}, tuned="C", name=""), used_diagram),
     "Disturbance.from_spectrum": (ls.Disturbance.from_spectrum, dict(
-        frequency_hz=F, density=abs(G), held_by=None, loop=""), lambda one: ls.check(P, C, R, disturbance=one)),
+        frequency_hz=F, density=abs(G), recorded_under=None, loop=""), lambda one: ls.check(P, C, R, disturbance=one)),
     "gain_scheduled": (ls.schedules.gain_scheduled, dict(
         controllers=[C, C], at=[{"p": 1.0}, {"p": 2.0}], follows={"p": "loop"}, lag_s=0.1),
         lambda one: (repr(one), one.at({"p": 1.5}))),

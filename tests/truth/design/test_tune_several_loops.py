@@ -40,7 +40,7 @@ def test_loops_that_do_not_meet_are_tuned_as_each_alone():
     for k, wish in enumerate(WISHES):
         own = matrix(0.0)
         part = ls.FRF(
-            F, own.response[:, k : k + 1, k : k + 1], own.covariance[:, :1, :1], own.trusted, ("z",), ("y",), "known",
+            F, own.response[:, k : k + 1, k : k + 1], own.covariance[:, :1, :1], own.valid, ("z",), ("y",), "known",
             "one", wish.loop, RATE,
         )  # fmt: skip
         alone = tune([part], replace(wish, unstable_poles=0), starts=4, draws=20)

@@ -101,8 +101,8 @@ def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
 
 
 def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
-    f, held_by = np.geomspace(0.02, 3000.0, 4000), ls.Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
-    still = ls.Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), held_by=held_by)
+    f, recorded_under = np.geomspace(0.02, 3000.0, 4000), ls.Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
+    still = ls.Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), recorded_under=recorded_under)
     asked = required(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, error_rms=2.0)
     loops = loops_of(servos(0.0, 800), ls.Controller("one", (Block("gain", {"gain": 1.0}),), RATE), asked)[0]
     p = problem(loops, asked, RATE, opened=[opened(loop, still, RATE) for loop in loops])

@@ -103,12 +103,12 @@ def decouple(P: FRF, at_hz: float | tuple[float, float], order: int = 0) -> Deco
 
 def _lines(plant: FRF, at_hz: float | tuple[float, float]) -> np.ndarray:
     """Valid lines (nf,) in a band, or the one nearest to a frequency; refuses none."""
-    f, trusted = plant.frequency_hz, plant.trusted
+    f, valid = plant.frequency_hz, plant.valid
     if isinstance(at_hz, tuple):
-        used = trusted & (f >= at_hz[0]) & (f <= at_hz[1])
+        used = valid & (f >= at_hz[0]) & (f <= at_hz[1])
     else:
-        near = np.where(trusted, np.abs(np.log(f / at_hz)), np.inf)
-        used = (near == near.min()) & trusted
+        near = np.where(valid, np.abs(np.log(f / at_hz)), np.inf)
+        used = (near == near.min()) & valid
     if not used.any():
         raise WrongUseError("no valid frequency to decouple at", f"{at_hz} Hz", "look at the FRF's valid band")
     return np.asarray(used)

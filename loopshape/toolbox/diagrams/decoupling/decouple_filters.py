@@ -98,7 +98,7 @@ def behind(plant: FRF, W: ComplexArray, what: str) -> FRF:
         response=plant.response @ W,
         covariance=carry @ plant.covariance @ back,
         noise_covariance=None if noise is None else carry @ noise @ back,
-        held_by=None,
+        recorded_under=None,
         notes=(*plant.notes, f"behind {what}"),
     )
 

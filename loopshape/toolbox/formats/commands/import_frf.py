@@ -49,16 +49,16 @@ def import_frf(
 
     if (hold and not rate_hz) or (delay_s and not hold):
         raise WrongUseError("a hold is that of a rate, and a delay goes with it", "", "say --hold with --rate-hz")
-    held_by = None if complete_loop is None else _controller(complete_loop, loop)
+    recorded_under = None if complete_loop is None else _controller(complete_loop, loop)
     stated = Stated(
         relative_std, averages, _names(inputs), _names(outputs), recording, loop, 0.0 if hold else rate_hz, negative,
-        held_by,
+        recorded_under,
     )  # fmt: skip
     found = read_frf_file(file, stated)
     if hold:
-        from loopshape.data.algebra import held
+        from loopshape.data.algebra import with_hold
 
-        found = held(found, rate_hz, delay_s)
+        found = with_hold(found, rate_hz, delay_s)
     frfs = _picked(found, pick or [], loop)
     _check_units(frfs)
     paths = add_frfs(out, frfs, replace_same=replace)
@@ -99,7 +99,7 @@ def _picked(frf: FRF, pairs: list[str], loop: str) -> list[FRF]:
             raise WrongUseError("an element is picked by its output and input", repr(pair), "write OUTPUT/INPUT")
         one = replace(channels(frf, [output.strip()], [source.strip()]), loop=loop or output.strip())
         if len(frf.inputs) == 1 and frf.multiple_coherence is not None:  # each output is as sure as its own coherence
-            one = replace(one, trusted=valid_frequencies(one.frequency_hz, one.response, one.covariance))
+            one = replace(one, valid=valid_frequencies(one.frequency_hz, one.response, one.covariance))
         found.append(one)
     return found
 
@@ -125,7 +125,7 @@ def _report(out: Path, frfs: list[FRF], paths: tuple[Path, ...], output: Output)
     for one in frfs:
         std = one.modulus_std[:, 0, 0]
         spread = float(20.0 * np.log10(1.0 + np.median(std)))
-        low, high = one.trusted_band_hz
+        low, high = one.valid_band_hz
         names = [", ".join(one.outputs), ", ".join(one.inputs)]
         rows.append([one.recording, one.loop, *names, low, high, int(one.frequency_hz.size), spread])
     output.table(f"Imported into {out}", columns, rows)
@@ -138,10 +138,10 @@ def _report(out: Path, frfs: list[FRF], paths: tuple[Path, ...], output: Output)
         if one.response.shape[1:] != (1, 1)
     ]
     warnings += [
-        f"no line of {one.loop} is known to 10 %: fit and check need a band" for one in frfs if not one.trusted.any()
+        f"no line of {one.loop} is known to 10 %: fit and check need a band" for one in frfs if not one.valid.any()
     ]
     output.warn(warnings)
-    keys = ("recording", "loop", "outputs", "inputs", "trusted_from_hz", "trusted_to_hz", "lines", "median_std_db")
+    keys = ("recording", "loop", "outputs", "inputs", "valid_from_hz", "valid_to_hz", "lines", "median_std_db")
     output.json(
         {
             "run": str(out),

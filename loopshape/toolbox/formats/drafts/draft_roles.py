@@ -427,7 +427,7 @@ def _swapped(seen: _Seen, roles: Roles) -> str:
         recording = Recording(info, 1.0, {"t_s": np.arange(rows, dtype=np.float64), **columns})
         method = "auto" if roles.period_rows else "welch"
         P = estimate_frf(recording, loop, Settings(method=method))
-        found = inverse_note(recording, loop, P.frequency_hz[P.trusted], P.siso[P.trusted])
+        found = inverse_note(recording, loop, P.frequency_hz[P.valid], P.siso[P.valid])
         if not found and not info.closed_loop and loop_feedback(recording, loop, 1e-4).explained > BEFORE_ITS_CAUSE:
             found = ("much of the output comes before its cause",)
     except LoopshapeError:

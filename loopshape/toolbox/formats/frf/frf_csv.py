@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from loopshape.core.units import Array
 from loopshape.io.csv_text import CsvShape, CsvTable, read_csv_table
 from loopshape.io.files import reading, short
 from loopshape.io.write.frf_csv import FORMAT, tails
+from loopshape.io.write.frf_words import RENAMED, is_format
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF, Stated
 from loopshape.toolbox.formats.frf.frf_table import read_frf_table
 
@@ -29,6 +31,7 @@ def read_frf_csv(path: Path, stated: Stated | None = None) -> ForeignFRF:
         return read_frf_table(path)
     words, above = _header(path)
     table = read_csv_table(path, CsvShape(skip_rows=above))
+    table = replace(table, names=tuple(RENAMED.get(name, name) for name in table.names))
     outputs, inputs = (tuple(words.get(name) or getattr(stated, name)) for name in ("outputs", "inputs"))
     if "re" in table.names or not (outputs and inputs):
         outputs, inputs = ("y",), ("u",)  # places only: the names come from the words or the user
@@ -37,7 +40,7 @@ def read_frf_csv(path: Path, stated: Stated | None = None) -> ForeignFRF:
     extra = [f"std{tail}" for tail in endings.values()]
     n = len(endings)
     cross = [f"cov_{part}_{p + 1}_{q + 1}" for p in range(n) for q in range(p) for part in ("re", "im")]
-    _check_columns(table, wanted, [*extra, *cross, "coherence", "trusted"])
+    _check_columns(table, wanted, [*extra, *cross, "coherence", "valid"])
     f = _column(table, "frequency_hz")
     if "lines" in words and words["lines"] != f.size:
         raise UnreadableInputError(f"{path} is cut short", f"{f.size} of {words['lines']} lines", "write it again")
@@ -47,8 +50,8 @@ def read_frf_csv(path: Path, stated: Stated | None = None) -> ForeignFRF:
     arrays: dict[str, np.ndarray] = {}
     if all(name in table.names for name in extra):
         arrays["covariance"] = _covariance(table, extra, cross, len(outputs), len(inputs))
-    if "trusted" in table.names:
-        arrays["trusted"] = _mask(table)
+    if "valid" in table.names:
+        arrays["valid"] = _mask(table)
     coherence = _perhaps(table, "coherence")
     if coherence is not None and n > 1:
         arrays["coherence"] = coherence
@@ -76,7 +79,7 @@ def _header(path: Path) -> tuple[Mapping[str, Any], int]:
         if not first.startswith("#"):
             return {}, 0
         second = file.readline()
-    if first.strip("# \n\r") != FORMAT:
+    if not is_format(first.strip("# \n\r"), FORMAT):
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", short(first), "remove such frequencies")
     with reading(path, "the words of a FRF's table"):
         words = json.loads(second.removeprefix("#"))
@@ -96,7 +99,7 @@ def _check_columns(table: CsvTable, wanted: list[str], others: list[str]) -> Non
         words += [f"unknown {', '.join(map(repr, unknown))}"] if unknown else []
         raise UnreadableInputError(
             f"{table.path} is no table of a FRF", short("; ".join(words)),
-            "it has the columns frequency_hz, re, im and perhaps std, coherence, trusted; with several channels re, im"
+            "it has the columns frequency_hz, re, im and perhaps std, coherence, valid; with several channels re, im"
             " and std end in _output_input, and the names are stated (--outputs, --inputs)",
         )  # fmt: skip
 
@@ -119,9 +122,9 @@ def _perhaps(table: CsvTable, name: str) -> Array | None:
 
 
 def _mask(table: CsvTable) -> np.ndarray:
-    values = _column(table, "trusted")
+    values = _column(table, "valid")
     if not np.isin(values, (0.0, 1.0)).all():
-        raise UnreadableInputError(f"trusted of {table.path} is 1 or 0", f"{values[~np.isin(values, (0, 1))][0]:g}")
+        raise UnreadableInputError(f"valid of {table.path} is 1 or 0", f"{values[~np.isin(values, (0, 1))][0]:g}")
     return np.asarray(values == 1.0)
 
 

@@ -13,7 +13,7 @@ from loopshape.data.algebra.operations import negated, without_controller
 from loopshape.data.response.frf import FRF
 from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import PART, inside, make_folder, plain_name, put, staged, writing
-from loopshape.io.folder_lock import held
+from loopshape.io.folder_lock import locked
 from loopshape.io.run.run_folder import RUN_TOML
 from loopshape.io.write.frf_csv import frf_csv
 from loopshape.io.write.frf_words import frf_arrays
@@ -150,7 +150,7 @@ def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -
         )
     _check_names(frfs)
     make_folder(folder)
-    with held(folder):
+    with locked(folder):
         ours = (PART, "figures", "fits.json", "export", FOLDER)
         foreign = [p.name for p in folder.iterdir() if not p.name.endswith(ours)]
         if foreign:

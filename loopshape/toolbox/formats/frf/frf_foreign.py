@@ -74,11 +74,11 @@ def frf_of(found: ForeignFRF, stated: Stated | None = None) -> FRF:
             found
         )
         words |= {"variance_freedom": freedom} if "covariance" not in found.arrays and freedom is not None else {}
-        trusted = found.arrays.get("trusted")
-        if trusted is None:
-            trusted = valid_frequencies(found.frequency_hz, found.response, covariance)
+        valid = found.arrays.get("valid")
+        if valid is None:
+            valid = valid_frequencies(found.frequency_hz, found.response, covariance)
         return FRF(
-            frequency_hz=found.frequency_hz, response=found.response, covariance=covariance, trusted=trusted,
+            frequency_hz=found.frequency_hz, response=found.response, covariance=covariance, valid=valid,
             **arrays, **words,
         )  # fmt: skip
 

@@ -13,13 +13,13 @@ from loopshape.core.errors import UnreadableInputError
 from loopshape.data.response.frf import FRF
 from loopshape.io.files import reading, short, write_whole
 from loopshape.io.size_limit import check_growth
-from loopshape.io.write.frf_words import PERHAPS, frf_arrays, frf_header
+from loopshape.io.write.frf_words import PERHAPS, RENAMED, frf_arrays, frf_header, is_format
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 
-FORMAT = "loopshape-frf-hdf5/1"
+FORMAT = "loopshape-frf-hdf5/2"
 _ALONE = ("method", "recording", "loop", "rate_hz", "averages", "variance_freedom", "hold", "open_loop")
 _LISTS = ("inputs", "outputs", "notes", "recordings")
-_DIMENSIONS = {"frequency_hz": 1, "response": 3, "covariance": 3, "trusted": 1}
+_DIMENSIONS = {"frequency_hz": 1, "response": 3, "covariance": 3, "valid": 1}
 
 
 def write_frf_hdf5(path: Path, frf: FRF) -> tuple[str, ...]:
@@ -59,20 +59,24 @@ def read_frf_hdf5(path: Path) -> ForeignFRF:
         path.open("rb").close()
         with h5py.File(path, "r") as file:
             words = _words(path, file)
-            arrays = {name: _array(path, file, name) for name in (*_DIMENSIONS, *PERHAPS) if name in file}
+            arrays = {
+                RENAMED.get(name, name): _array(path, file, name)
+                for name in (*_DIMENSIONS, *PERHAPS, *RENAMED)
+                if name in file
+            }
     if missing := [name for name in ("frequency_hz", "response") if name not in arrays]:
         raise UnreadableInputError(
             f"{path.name} holds no FRF", f"no {', '.join(missing)}", "write both, lines first: docs/frf_hdf5.md"
         )
     f, response = arrays.pop("frequency_hz").astype(float), arrays.pop("response").astype(complex)
-    if "trusted" in arrays:
-        arrays["trusted"] = arrays["trusted"] != 0
+    if "valid" in arrays:
+        arrays["valid"] = arrays["valid"] != 0
     return ForeignFRF(str(path), f, response, arrays, words)
 
 
 def _words(path: Path, file: Any) -> dict[str, Any]:
     text = str(file.attrs.get("format", ""))
-    if text not in ("", FORMAT):
+    if text and not is_format(text, FORMAT):
         raise UnreadableInputError(f"{path.name} is not of the format {FORMAT}", short(text), "take format out of it")
     words = json.loads(str(file.attrs.get("header", "{}")))
     if not isinstance(words, dict):

@@ -14,12 +14,12 @@ from loopshape.core.units import Array, hz
 from loopshape.data.response.frf import FRF
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import reading, short, write_whole
-from loopshape.io.write.frf_words import PERHAPS, frf_arrays, frf_header
+from loopshape.io.write.frf_words import PERHAPS, frf_arrays, frf_header, is_format, upgraded
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 from loopshape.toolbox.formats.logs.mat5 import read_mat5
 from loopshape.toolbox.formats.tables.sources import open_source
 
-FORMAT = "loopshape-frf-mat/1"
+FORMAT = "loopshape-frf-mat/2"
 #: a variable with the lines, and its unit; without a unit of its own `frequency_unit` says it, else it is Hz
 _LINES = {"frequency_hz": "Hz", "frequency": "", "omega_rad_s": "rad/s"}
 #: other words for them, taken with a note
@@ -57,7 +57,7 @@ def read_frf_mat(path: Path) -> ForeignFRF:
     with a note. A response goes over outputs, inputs and lines, or is a vector for one of each. Of v7.3 only numbers
     are read.
     """
-    held, taken = _by_habit(_variables(path))
+    held, taken = _by_habit(upgraded(_variables(path)))
     words = _words(path, held)
     f, notes = _lines(path, held)
     notes = (*notes, *taken)
@@ -66,11 +66,11 @@ def read_frf_mat(path: Path) -> ForeignFRF:
     response = _lines_first(path, "response", held["response"], f.size, 2).astype(complex)
     arrays: dict[str, np.ndarray] = {}
     wide = {"covariance": 2, "noise_covariance": 2, "partial_coherence": 2, "multiple_coherence": 1}
-    for name in ("covariance", "trusted", *PERHAPS):
+    for name in ("covariance", "valid", *PERHAPS):
         if name in held:
             arrays[name] = _lines_first(path, name, held[name], f.size, wide.get(name, 0))
-    if "trusted" in arrays:
-        arrays["trusted"] = arrays["trusted"] != 0
+    if "valid" in arrays:
+        arrays["valid"] = arrays["valid"] != 0
     for name in ("coherence", "input_power", "output_power", "multiple_coherence", "partial_coherence"):
         if name in arrays and arrays[name].dtype.kind == "c":
             raise UnreadableInputError(f"{name} of {path} is real", "complex numbers")
@@ -116,7 +116,7 @@ def _variables(path: Path) -> dict[str, np.ndarray]:
 def _words(path: Path, held: Mapping[str, np.ndarray]) -> dict[str, Any]:
     """The words of `header`, then those that stand on their own, which a user may have changed."""
     text = _text(held, "format")
-    if text not in ("", FORMAT):
+    if text and not is_format(text, FORMAT):
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(text), "take format out of it")
     words: dict[str, Any] = {}
     if _text(held, "header"):

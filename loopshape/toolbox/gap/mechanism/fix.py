@@ -22,8 +22,8 @@ from loopshape.toolbox.gap.mechanism.numbers import (
     TILT,
     Numbers,
     about,
+    carried_by,
     first,
-    held_by,
     led_by,
     with_point,
 )
@@ -142,7 +142,7 @@ class _Patch:
         """Whether masses and places are those that were fitted; settotalmass, for one, would scale a payload away."""
         m, fitted = self.spec.compile(), self.of.at(self.p)
         for b in range(1, m.nbody):
-            pairs = zip("mcio", (*held_by(m, b), m.body_pos[b]), strict=True)
+            pairs = zip("mcio", (*carried_by(m, b), m.body_pos[b]), strict=True)
             for key, value in pairs:
                 size = float(np.max(np.abs(fitted[f"{key}{b}"])))
                 if not np.allclose(value, fitted[f"{key}{b}"], rtol=NEAR, atol=NEAR * size):
@@ -241,7 +241,7 @@ def _carrying(spec: Any, body: str, more: float, at: Any) -> None:
                      contype=0, conaffinity=0)  # fmt: skip
         return
     m = spec.compile()
-    mass, centre, inertia = with_point(*held_by(m, m.body(body).id), more, at)
+    mass, centre, inertia = with_point(*carried_by(m, m.body(body).id), more, at)
     main, axes = np.linalg.eigh(inertia)
     turn = np.zeros(4)
     mujoco.mju_mat2Quat(turn, np.ravel(axes * np.sign(np.linalg.det(axes))))

@@ -118,7 +118,7 @@ class Numbers:
         for b in range(1, m.nbody):
             name = m.body(b).name
             at = self.payload_at(name, p) if name else np.zeros(3)
-            mass, centre, inertia = with_point(*held_by(m, b), p.get(f"{PAYLOAD}_{name}", 0.0), at)
+            mass, centre, inertia = with_point(*carried_by(m, b), p.get(f"{PAYLOAD}_{name}", 0.0), at)
             out |= {f"m{b}": mass, f"c{b}": centre, f"i{b}": inertia, f"o{b}": np.array(m.body_pos[b])}
             out[f"r{b}"] = _matrix(m.body_quat[b])
         out |= {
@@ -274,7 +274,7 @@ def _stretched(body: Any, far: Array, longer: float) -> None:
         child.pos = moved(child.pos)
 
 
-def held_by(m: Any, b: int) -> tuple[float, Array, Array]:
+def carried_by(m: Any, b: int) -> tuple[float, Array, Array]:
     """Mass, centre (3,) and inertia about it (3, 3) of a body of a compiled model, in the body's frame."""
     turn = _matrix(m.body_iquat[b])
     return float(m.body_mass[b]), np.array(m.body_ipos[b]), turn @ np.diag(m.body_inertia[b]) @ turn.T

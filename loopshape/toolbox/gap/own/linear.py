@@ -93,7 +93,7 @@ def _shown(model: Model, frf: FRF) -> FRF:
             f"{', '.join(frf.inputs)} to {', '.join(frf.outputs)}; the model has {', '.join(inputs)} and"
             f" {', '.join(outputs)}", "name them alike in model.toml (column), or by import-frf --inputs --outputs",
         )  # fmt: skip
-    valid = frf.trusted_lines()
+    valid = frf.valid_lines()
     valid = valid.select(np.arange(0, valid.frequency_hz.size, int(np.ceil(valid.line_overlap))))
     valid = valid.select(valid.frequency_hz <= FASTEST_HZ / FOLDED)
     if valid.frequency_hz.size < FEWEST:

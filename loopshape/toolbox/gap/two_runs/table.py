@@ -154,7 +154,7 @@ def _levels(found: Distortion | None, band: tuple[float, float]) -> DistortionLe
 def _seen_once(pair: Pair, path: Path, one: FRF, two: FRF) -> list[str]:
     """A note where only one of both runs knows a band: a gap may hide there."""
     known = known_lines(one, two)
-    alone = [(x.trusted & ~known, word) for x, word in ((one, "real"), (two, "simulated"))]
+    alone = [(x.valid & ~known, word) for x, word in ((one, "real"), (two, "simulated"))]
     return [
         f"{pair.real.info.name}, {path.name}: {np.count_nonzero(rows)} lines are known in the {word} run alone, from"
         f" {one.frequency_hz[rows][0]:.3g} to {one.frequency_hz[rows][-1]:.3g} Hz"

@@ -192,7 +192,7 @@ def on_common_lines(one: FRF, two: FRF) -> tuple[FRF, FRF]:
 def known_lines(one: FRF, two: FRF) -> np.ndarray:
     """Frequencies (nf,) in the valid band of either FRF and known to 30 % in both."""
     known = [np.sqrt(x.variance[:, 0, 0]) < KNOWN * np.abs(x.siso) for x in (one, two)]
-    return np.asarray((one.trusted | two.trusted) & known[0] & known[1])
+    return np.asarray((one.valid | two.valid) & known[0] & known[1])
 
 
 @dataclass(frozen=True)

@@ -85,7 +85,7 @@ def _errors(
     """Of the move, without feedforward and with it."""
     from loopshape.toolbox.learning.verbs import setpoint_of, tracking_error
 
-    setpoint = setpoint_of(*move, rate_hz=own.rate_hz, rest_s=4.0 / plant.trusted_band_hz[0])
+    setpoint = setpoint_of(*move, rate_hz=own.rate_hz, rest_s=4.0 / plant.valid_band_hz[0])
     return {
         name: tracking_error(plant, own, setpoint, one, integrators=integrators)
         for name, one in (("without", None), ("with feedforward", made))

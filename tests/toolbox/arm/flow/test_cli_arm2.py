@@ -27,8 +27,8 @@ def test_the_example_gives_a_frf_of_each_loop(measured: tuple[Path, dict]) -> No
     assert said["warnings"] == []
     assert [frf["loop"] for frf in said["frfs"]] == list(LOOPS)
     for frf in said["frfs"]:
-        assert frf["trusted_from_hz"] <= 0.5
-        assert frf["trusted_to_hz"] >= 5.0
+        assert frf["valid_from_hz"] <= 0.5
+        assert frf["valid_to_hz"] >= 5.0
     assert sorted(p.name for p in folder.glob("*.parquet")) == [
         "p_a.parquet",
         "p_c.parquet",

@@ -142,13 +142,13 @@ def test_quiet_says_nothing_and_json_is_one_object(arm: Path) -> None:
     assert loopshape("frf", arm / "run", "--no-figures", "--quiet").stdout == ""
     found = json.loads(loopshape("frf", arm / "run", "--no-figures", "--json").stdout)
     assert [one["recording"] for one in found["frfs"]] == ["angle-01", "angle-02"]
-    assert found["frfs"][0]["trusted_to_hz"] > 6.0
+    assert found["frfs"][0]["valid_to_hz"] > 6.0
 
 
 def test_csv_of_an_frf_can_be_read_back(arm: Path) -> None:
     assert loopshape("frf", arm / "run", "--no-figures", "--csv", "-q").returncode == 0
     table = np.genfromtxt(arm / "run" / "frf" / "angle-01.theta2.csv", delimiter=",", names=True)
-    assert {"frequency_hz", "re", "im", "std", "coherence", "trusted"} <= set(table.dtype.names)
+    assert {"frequency_hz", "re", "im", "std", "coherence", "valid"} <= set(table.dtype.names)
     assert np.all(np.diff(table["frequency_hz"]) > 0)
 
 
@@ -331,7 +331,7 @@ def test_a_saturated_pwm_is_said(tmp_path: Path) -> None:
 
 
 def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
-    from loopshape.io.folder_lock import alone, held
+    from loopshape.io.folder_lock import alone, locked
 
     holds = (
         "import sys; from pathlib import Path; from loopshape.io.run.run_folder import alone\n"
@@ -344,7 +344,7 @@ def test_two_writers_of_one_run_are_kept_apart(tmp_path: Path) -> None:
         with pytest.raises(ls.errors.WrongUseError, match="another process is writing"), alone(tmp_path):
             pass
         other.communicate("")
-    with alone(tmp_path), held(tmp_path):  # a step of writing within the hold that this process has
+    with alone(tmp_path), locked(tmp_path):  # a step of writing within the hold that this process has
         pass
     with alone(tmp_path), pytest.raises(ls.errors.WrongUseError, match="another process is writing"), alone(tmp_path):
         pass

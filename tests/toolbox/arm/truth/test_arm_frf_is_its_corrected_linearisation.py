@@ -22,7 +22,7 @@ def measured(arm):
     out = []
     for recording in arm.simulate(todo):
         frf = estimate_frf(recording, run.loop("theta2"))
-        out.append((frf.select(frf.trusted & (frf.frequency_hz > 0.3) & (frf.frequency_hz < 10.0)), recording, run))
+        out.append((frf.select(frf.valid & (frf.frequency_hz > 0.3) & (frf.frequency_hz < 10.0)), recording, run))
     return out
 
 

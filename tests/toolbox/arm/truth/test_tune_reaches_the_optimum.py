@@ -30,7 +30,7 @@ def plant(model: TransferFunction, lines: int = 400, name: str = "one", high_hz:
         frequency_hz=f,
         response=G[:, None, None],
         covariance=np.full((lines, 1, 1), 1e-20 + 0j),
-        trusted=np.ones(lines, dtype=bool),
+        valid=np.ones(lines, dtype=bool),
         inputs=("z_v",),
         outputs=("y_rad",),
         method="known",

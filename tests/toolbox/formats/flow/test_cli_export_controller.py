@@ -68,13 +68,16 @@ def test_settings_survive_a_run_and_a_frf():
     table = loop_table(LoopSetup("theta 2", "r_rad", "n_rad", "z_v", "y_rad", recorded))
     assert_same(recorded, read_loop(ConfigTable(table, "run.toml"), RATE_HZ).controller)
     one = np.ones((3, 1, 1), dtype=complex)
-    for held_by in (FINE, PLAIN):
+    for recorded_under in (FINE, PLAIN):
         frf = ls.FRF(
             np.arange(1.0, 4.0), one, one, np.ones(3, dtype=bool), ("u",), ("y",), "test", "r01", "theta 2", RATE_HZ,
-            held_by=held_by,
+            recorded_under=recorded_under,
         )  # fmt: skip
-        back = frf_words(json.loads(json.dumps(frf_header(frf))), "x")["held_by"]
-        assert_same(ls.Controller("theta 2", **{f.name: getattr(held_by, f.name) for f in fields(held_by)[1:]}), back)
+        back = frf_words(json.loads(json.dumps(frf_header(frf))), "x")["recorded_under"]
+        assert_same(
+            ls.Controller("theta 2", **{f.name: getattr(recorded_under, f.name) for f in fields(recorded_under)[1:]}),
+            back,
+        )
 
 
 def test_json(file, tmp_path):

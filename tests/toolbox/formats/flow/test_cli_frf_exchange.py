@@ -169,6 +169,6 @@ def test_two_imported_frfs_are_compared(tmp_path):
         )
     same = json.loads(loopshape("compare", tmp_path / "before", tmp_path / "again", "--json"))
     other = json.loads(loopshape("compare", tmp_path / "before", tmp_path / "after", "--json", code=1))
-    assert (same["outcome"], other["outcome"]) == ("held", "did not hold")
+    assert (same["outcome"], other["outcome"]) == ("confirmed", "refuted")
     assert abs(np.mean([band["sensitivity_db"] for band in other["comparisons"][0]["bands"]]) - 0.51) < 0.05
-    assert ls.compare(*(read_frfs(tmp_path / name) for name in ("before", "again")))[0].outcome == "held"
+    assert ls.compare(*(read_frfs(tmp_path / name) for name in ("before", "again")))[0].outcome == "confirmed"

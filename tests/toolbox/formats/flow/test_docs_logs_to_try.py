@@ -49,7 +49,7 @@ def test_the_draft_is_taken_and_the_response_is_the_plant(ending, tmp_path, monk
     assert {rule["unit"] for rule in draft.table["columns"].values()} == {"rad" if ending in STATES_UNITS else "1"}
     write_draft(tmp_path / "m.toml", draft, file)
     frf = ls.frf(import_file(file, tmp_path / "m.toml", accept_draft=True))
-    mine = frf.trusted_lines()
+    mine = frf.valid_lines()
     wrong = np.abs(mine.siso / plant(mine.frequency_hz) - 1.0)
     assert mine.frequency_hz.size > 20
     assert np.median(wrong) < 0.02

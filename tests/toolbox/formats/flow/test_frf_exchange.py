@@ -38,7 +38,7 @@ def frf(ny=2, nu=2, nf=6, **words):
         "method_numbers": {"sweep_s": 202.5, "rationals_percent": 41.0},
         "variance_freedom": 22.0,
         "line_overlap": 1.94,
-        "held_by": ls.Controller("theta2", (Block("gain", {"gain": 0.5}),), 1000.0),
+        "recorded_under": ls.Controller("theta2", (Block("gain", {"gain": 0.5}),), 1000.0),
     }
     return ls.FRF(
         f, G, C, np.arange(nf) % 2 == 0, tuple(f"z{k}_v" for k in range(nu)), tuple(f"y{k}_rad" for k in range(ny)),
@@ -75,7 +75,7 @@ def test_mat_and_csv_keep_response_and_covariance(tmp_path, size, to):
     assert_response(back, made)
     assert_covariance(back, made)
     assert_words(back, made)
-    np.testing.assert_array_equal(back.trusted, made.trusted)
+    np.testing.assert_array_equal(back.valid, made.valid)
     np.testing.assert_array_equal(made.response, before[0])
     np.testing.assert_array_equal(made.covariance, before[1])
 
@@ -104,7 +104,7 @@ def test_matlab_sees_outputs_inputs_lines_and_names(tmp_path):
     assert seen["response"].shape == (2, 3, 6)
     assert seen["response"][1, 2, 4] == made.response[4, 1, 2]
     assert seen["covariance"].shape == (6, 6, 6)
-    assert seen["frequency_hz"].shape == seen["coherence"].shape == seen["trusted"].shape == (6, 1)
+    assert seen["frequency_hz"].shape == seen["coherence"].shape == seen["valid"].shape == (6, 1)
     assert [str(cell[0]) for cell in seen["inputs"][:, 0]] == ["z0_v", "z1_v", "z2_v"]
     assert seen["method"][0] == "local polynomial"
     # covariance is that of response(:): columns stacked, as MATLAB stacks them
@@ -123,7 +123,7 @@ def test_a_users_own_mat_file(tmp_path, compressed):
         np.testing.assert_allclose(back.variance[:, 0, 0], 0.0025)
         assert (back.recording, back.loop, back.inputs) == ("mine", "axis", ("u_v",))
         assert "frequency was taken to be in Hz: frequency_unit says otherwise" in back.notes
-        assert back.trusted.all()
+        assert back.valid.all()
     savemat(path, {"response": G, "frequency": f, "frequency_unit": "rad/s"})
     np.testing.assert_allclose(read_frf_file(path, stated).frequency_hz, f / (2 * np.pi))
     savemat(path, {"response": G, "omega_rad_s": f, "std": np.full(8, 0.1), "inputs": "u_v", "averages": 7.0})

@@ -64,7 +64,7 @@ def test_reference_and_error_with_the_controller_give_the_plant(logged):
     P = ls.frf(run, loop="axis")
     z = np.exp(-2j * np.pi * P.frequency_hz / RATE_HZ)
     truth = np.polyval(B[::-1], z) / np.polyval(A[::-1], z)
-    valid = P.trusted & (P.frequency_hz > 0.3) & (P.frequency_hz < 30.0)
+    valid = P.valid & (P.frequency_hz > 0.3) & (P.frequency_hz < 30.0)
     assert valid.sum() > 20
     np.testing.assert_allclose(P.response[valid, 0, 0], truth[valid], rtol=0.02)
 
@@ -128,7 +128,7 @@ def test_a_control_that_holds_the_injection_is_refused_from_arrays_and_from_file
             ls.write(run, tmp_path / f"run-{summed}")
             run = ls.read(tmp_path / f"run-{summed}")
         if not summed:
-            assert ls.frf(run, estimator=estimator).trusted.any()
+            assert ls.frf(run, estimator=estimator).valid.any()
             continue
         with pytest.raises(ls.errors.BadSignalError, match="holds the injected signal"):
             ls.frf(run, estimator=estimator)

@@ -21,7 +21,7 @@ def frf(num, den, f_hz=F_HZ, std=0.0, rng=None, delay_s=0.0):
         frequency_hz=f_hz,
         response=P[:, None, None],
         covariance=variance[:, None, None].astype(complex),
-        trusted=np.ones(P.size, dtype=bool),
+        valid=np.ones(P.size, dtype=bool),
         inputs=("u_v",),
         outputs=("y_rad",),
         method="computed",

@@ -118,7 +118,7 @@ def test_within_a_tolerance_the_predictions_hold_and_exit_code_is_0(folder: Path
     done = run("compare", folder / "new", folder / "prediction.npz", "--tolerance-db", 1.5, "--json")
     assert done.exit_code == 0, done.output
     found = json.loads(done.stdout)
-    assert found["outcome"] == "held"
+    assert found["outcome"] == "confirmed"
     assert len(found["predictions"]) == 2
     for one in found["predictions"]:
         assert [c["measured_from"][:5] for c in one["comparisons"]] == ["again"]
@@ -144,7 +144,7 @@ def test_a_prediction_of_another_gain_did_not_hold_and_exit_code_is_1(folder: Pa
     write_predictions(tmp_path / "p.npz", predict_loop(larger, made))
     done = run("compare", folder / "new", tmp_path / "p.npz", "--tolerance-db", 1.5, "--no-figures")
     assert done.exit_code == 1
-    assert "did not hold" in done.stdout
+    assert "refuted" in done.stdout
 
 
 def test_a_run_under_another_controller_is_refused(folder: Path, tmp_path: Path) -> None:

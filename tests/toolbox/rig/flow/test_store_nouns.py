@@ -126,10 +126,10 @@ def test_a_frf_as_a_table(tmp_path):
     frf_csv(tmp_path / "frf.csv", made)
     with (tmp_path / "frf.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["frequency_hz", "re", "im", "std", "coherence", "trusted"]
+    assert list(rows[0]) == ["frequency_hz", "re", "im", "std", "coherence", "valid"]
     assert [float(row["re"]) for row in rows] == made.siso.real.tolist()
     assert [float(row["std"]) ** 2 for row in rows] == pytest.approx(made.covariance[:, 0, 0].real.tolist())
-    assert [row["trusted"] for row in rows] == ["1", "0", "1", "0", "1"]
+    assert [row["valid"] for row in rows] == ["1", "0", "1", "0", "1"]
     frf_csv(tmp_path / "mimo.csv", replace(frf(ny=2, nu=2), coherence=None))
     head, first = (tmp_path / "mimo.csv").read_text().splitlines()[:2]
     assert head.startswith("frequency_hz,re_y0_u0,im_y0_u0,std_y0_u0,re_y0_u1")

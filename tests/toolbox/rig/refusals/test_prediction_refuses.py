@@ -18,12 +18,12 @@ from loopshape.toolbox.rig.verbs.machine import blocks_of
 GAIN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 
 
-def plant(loop: str = "a", rate_hz: float = 1000.0, trusted: bool = True, held: ls.Controller | None = GAIN) -> ls.FRF:
+def plant(loop: str = "a", rate_hz: float = 1000.0, valid: bool = True, held: ls.Controller | None = GAIN) -> ls.FRF:
     f = np.arange(1.0, 11.0)
     P = 1.0 / (2j * np.pi * f)
     return ls.FRF(
-        f, P[:, None, None], (1e-4 * np.abs(P) ** 2)[:, None, None].astype(complex), np.full(10, trusted), ("z_v",),
-        ("a_rad",), "made", recording="r", loop=loop, rate_hz=rate_hz, held_by=held,
+        f, P[:, None, None], (1e-4 * np.abs(P) ** 2)[:, None, None].astype(complex), np.full(10, valid), ("z_v",),
+        ("a_rad",), "made", recording="r", loop=loop, rate_hz=rate_hz, recorded_under=held,
     )  # fmt: skip
 
 
@@ -42,9 +42,9 @@ def test_another_controller_another_loop_and_another_rate_are_refused() -> None:
 
 
 def test_a_controller_that_is_not_known_is_noted_and_lines_that_nobody_trusts_tell_nothing() -> None:
-    measured = replace(sensitivity_of(plant()), held_by=None)
+    measured = replace(sensitivity_of(plant()), recorded_under=None)
     assert any("is assumed" in note for note in compare(prediction(), measured).notes)
-    blind = compare(prediction(), replace(measured, trusted=np.zeros(10, dtype=bool)))
+    blind = compare(prediction(), replace(measured, valid=np.zeros(10, dtype=bool)))
     assert (blind.outcome, blind.lines, blind.worst) == ("cannot tell", 0, None)
 
 

@@ -154,7 +154,7 @@ def test_frfs(tmp_path):
     with np.load(write_frfs(tmp_path, (frf(),))[0]) as file:
         arrays = dict(file)
     np.savez(path, **(arrays | {"header": np.array(json.dumps({"format": "other/1"}))}))
-    with pytest.raises(ls.errors.UnreadableInputError, match="not of the format loopshape-frf/1; received 'other/1'"):
+    with pytest.raises(ls.errors.UnreadableInputError, match="not of the format loopshape-frf/2; received 'other/1'"):
         read_frfs(tmp_path)
     np.savez(path, **(arrays | {"response": np.ones((2, 1, 1), dtype=complex)}))
     with pytest.raises(ls.errors.UnreadableInputError, match="a response is"):

@@ -119,7 +119,7 @@ def test_an_injection_that_drowns_is_never_trusted_though_its_residual_is_small(
     inverse = -1.0 / CONTROLLER.response(low.frequency_hz)
     assert np.median(np.abs(low.siso / inverse - 1.0)) < 0.6  # it is the controller that was measured
     assert np.median(np.sqrt(low.variance[:, 0, 0]) / np.abs(low.siso)) < 0.6  # and its variance does not say so
-    assert not frf.trusted.any()
+    assert not frf.valid.any()
     assert "loop noise exceeds the excitation at the plant input" in " ".join(frf.notes)
 
 
@@ -135,7 +135,7 @@ def test_direct_lines_that_are_minus_the_inverse_controller_are_outside_the_vali
     frf = estimates("controller_input", "noise", n, v, Settings("direct", method=method))[0]
     biased = np.abs(frf.siso / plant(frf.frequency_hz) - 1.0) > 0.3
     assert np.mean(biased) > 0.5
-    assert not (frf.trusted & biased).any()
+    assert not (frf.valid & biased).any()
     assert "-1/C of the loop's own controller" in " ".join(frf.notes)
 
 
@@ -144,7 +144,7 @@ def test_direct_lines_with_little_noise_stay_in_the_valid_band():
     whole = record("controller_input", "noise", n, *run_loop("controller_input", n, 0.01 * v))
     frf = estimate_frf(whole, LOOP, Settings("direct", method="welch"))
     inside = frf.between(1.0, 20.0)
-    assert inside.trusted.all()
+    assert inside.valid.all()
     assert np.median(np.abs(inside.siso / plant(inside.frequency_hz) - 1.0)) < 0.05
     assert "-1/C of the loop's own controller" not in " ".join(frf.notes)
 
@@ -179,9 +179,9 @@ def valid_wrong_right_lost(kind, place, level, estimator, method, declared, seed
     frf = estimate_frf(one, replace(LOOP, controller=DECLARED[declared]), Settings(estimator, method=method))
     error = np.abs(frf.siso / plant(frf.frequency_hz) - 1.0)
     std = np.sqrt(frf.variance[:, 0, 0]) / np.abs(frf.siso)
-    wrong = frf.trusted & (error > 0.1) & (error > 3.0 * std)
+    wrong = frf.valid & (error > 0.1) & (error > 3.0 * std)
     right = (error < 0.1) & (std < 0.1)
-    return np.array([frf.trusted.sum(), wrong.sum(), right.sum(), (right & ~frf.trusted).sum()])
+    return np.array([frf.valid.sum(), wrong.sum(), right.sum(), (right & ~frf.valid).sum()])
 
 
 @pytest.mark.parametrize("declared", DECLARED)

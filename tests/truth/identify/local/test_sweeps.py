@@ -55,14 +55,14 @@ def octaves(f_hz):
 def test_the_band_that_a_sweep_crosses_once_is_valid_and_as_accurate_as_by_the_best_known_estimator(place, seconds):
     record = recorded(place, swept(seconds), seed=1)
     frf = estimate_frf(record, LOOP)
-    valid = frf.frequency_hz[frf.trusted]
+    valid = frf.frequency_hz[frf.valid]
     assert valid[0] > 0.98 * LOW
     assert valid[-1] < 1.02 * HIGH
-    assert frf.trusted.mean() > 0.95
+    assert frf.valid.mean() > 0.95
     assert np.ptp(valid) > 0.95 * (HIGH - LOW)
     assert octaves(valid) > 0.95 * np.log2(HIGH / LOW)
     # the estimator's lines are closer at low frequency: errors are compared at the peers' own
-    P = np.interp(f := np.arange(0.6, 79.5, 0.1), valid, frf.siso[frf.trusted])
+    P = np.interp(f := np.arange(0.6, 79.5, 0.1), valid, frf.siso[frf.valid])
     assert median_error(f, P, RATE) < 1.5 * min(peer_errors(record, place).values())
 
 
@@ -89,7 +89,7 @@ def test_their_95_percent_circles_hold_that_share_of_errors(case):
 def test_a_drift_as_large_as_the_answer_costs_at_most_the_end_of_the_band_and_no_intervals(place, both_ways):
     n = swept(10.0, both_ways=both_ways)
     frfs = [estimate_frf(recorded(place, n, seed, drift=1.0), LOOP) for seed in range(8)]
-    assert min(np.ptp(x.frequency_hz[x.trusted]) for x in frfs) > 0.9 * (HIGH - LOW)
+    assert min(np.ptp(x.frequency_hz[x.valid]) for x in frfs) > 0.9 * (HIGH - LOW)
     assert 0.9 < np.mean([share_inside(x, RATE) for x in frfs]) < 0.985
 
 
@@ -138,7 +138,7 @@ def test_what_a_window_rounds_off_of_a_resonance_is_not_taken_for_noise_that_com
 
 def test_a_slow_linear_sweep_is_valid_from_where_it_starts():
     frf = estimate_frf(recorded("controller_input", swept(180.0, spacing="linear"), seed=0), LOOP)
-    assert octaves(frf.frequency_hz[frf.trusted]) > 0.95 * np.log2(HIGH / LOW)
+    assert octaves(frf.frequency_hz[frf.valid]) > 0.95 * np.log2(HIGH / LOW)
 
 
 @pytest.mark.long
@@ -240,10 +240,10 @@ def test_a_sweep_in_arrays_is_valid_over_its_band_and_as_accurate_as_by_the_best
     for seed in range(4):
         run, known = in_arrays(n, 500.0, seed)
         frf = ls.frf(run)
-        valid = frf.frequency_hz[frf.trusted]
+        valid = frf.frequency_hz[frf.valid]
         shares.append(np.ptp(valid) / (HIGH - LOW))
         f = np.arange(max(0.6, valid[0]), min(79.5, valid[-1]), 0.1)
-        errors.append(median_error(f, np.interp(f, valid, frf.siso[frf.trusted]), 500.0, easy_plant))
+        errors.append(median_error(f, np.interp(f, valid, frf.siso[frf.valid]), 500.0, easy_plant))
         peers.append(known)
     assert min(shares) > 0.84
     assert np.mean(errors) <= min(np.mean([p[name] for p in peers]) for name in peers[0])
@@ -273,13 +273,13 @@ def test_a_sweep_estimated_in_parts_is_as_accurate_as_whole_and_its_intervals_ho
     assert max((one.stop - one.start) / one.factor for one in parts) < 1.2 * (1 << 15)
     assert [one.low_hz for one in parts[1:]] == [one.high_hz for one in parts[:-1]]
     frf = found[0]
-    valid = frf.frequency_hz[frf.trusted]
-    assert valid[0] < 1.2 * whole.frequency_hz[whole.trusted][0]
+    valid = frf.frequency_hz[frf.valid]
+    assert valid[0] < 1.2 * whole.frequency_hz[whole.valid][0]
     assert valid[-1] > 0.98 * HIGH
-    assert frf.trusted.mean() > 0.95
-    errors = [median_error(one.frequency_hz[one.trusted], one.siso[one.trusted], RATE) for one in (frf, whole)]
+    assert frf.valid.mean() > 0.95
+    errors = [median_error(one.frequency_hz[one.valid], one.siso[one.valid], RATE) for one in (frf, whole)]
     assert errors[0] < 1.1 * errors[1]
-    assert 0.93 < np.mean([share_inside(one.trusted_lines(), RATE) for one in found]) < 0.97
+    assert 0.93 < np.mean([share_inside(one.valid_lines(), RATE) for one in found]) < 0.97
 
 
 def test_a_sweep_both_ways_and_noise_have_no_parts(monkeypatch):

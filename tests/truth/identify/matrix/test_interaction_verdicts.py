@@ -103,13 +103,13 @@ def test_many_lines_alone_are_no_coupling():
 
 
 def test_octaves_end_at_powers_of_two_and_at_the_trusted_band():
-    frf = matrix_frf(coupled_by(-40.0), error=0.01, trusted=(F > 0.25) & (F < 5.0))
+    frf = matrix_frf(coupled_by(-40.0), error=0.01, valid=(F > 0.25) & (F < 5.0))
     assert octaves(frf) == ((pytest.approx(0.3), 0.5), (0.5, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, pytest.approx(4.9)))
 
 
 def test_a_band_is_not_decoupled_where_nothing_was_measured():
-    trusted = (F < 2.0) | (F > 3.0)
-    v = verdict(matrix_frf(coupled_by(-40.0), error=0.01, trusted=trusted))
+    valid = (F < 2.0) | (F > 3.0)
+    v = verdict(matrix_frf(coupled_by(-40.0), error=0.01, valid=valid))
     assert v.verdict == "undecided"
     assert v.hole_hz == (pytest.approx(1.9), pytest.approx(3.1))
     assert "no frequency is valid from 1.9 to 3.1 Hz" in v.sentence

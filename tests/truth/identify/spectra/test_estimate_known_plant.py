@@ -27,9 +27,7 @@ def test_the_response_is_the_plants_within_its_own_standard_deviation(kind, plac
     excitation, period = EXCITATIONS[kind]
     n = excitation.signal(RATE)
     v = 0.02 * np.random.default_rng(7).standard_normal((1, n.size))
-    frf = (
-        estimates(place, kind, n, v, **period)[0].between(0.6, 39.5).trusted_lines()
-    )  # clear of the excitation's edges
+    frf = estimates(place, kind, n, v, **period)[0].between(0.6, 39.5).valid_lines()  # clear of the excitation's edges
     d = np.abs(frf.siso - plant(frf.frequency_hz)) / np.sqrt(frf.variance[:, 0, 0])
     assert frf.frequency_hz.size > 50
     assert (0.4 if kind == "sweep" else 0.6) < np.mean(d**2) < 1.5
@@ -87,8 +85,8 @@ def settling(amplitude):
 def test_a_first_period_that_has_not_settled_is_left_out():
     frf = settling(5.0)
     assert "5 periods of 4 s, the first left out (not settled)" in frf.method
-    trusted = frf.trusted_lines()
-    d = np.abs(trusted.siso - plant(trusted.frequency_hz)) / np.sqrt(trusted.variance[:, 0, 0])
+    valid = frf.valid_lines()
+    d = np.abs(valid.siso - plant(valid.frequency_hz)) / np.sqrt(valid.variance[:, 0, 0])
     assert np.mean(d**2) < 1.5  # 40 degrees of freedom: E[|d|²/var] is 1.05; with the transient in it is over 100
 
 

@@ -75,8 +75,8 @@ def test_segments_become_longer_and_what_stays_unresolved_is_outside_the_valid_b
     truth = freqz(*held(0.01), worN=TWO_PI * frf.frequency_hz / RATE)[1]
     wrong = near(frf.frequency_hz, 0.2) & (np.abs(frf.siso / truth - 1.0) > 0.1)
     assert wrong.any()
-    assert not (frf.trusted & wrong).any()
-    assert frf.trusted[(frf.frequency_hz > 2.0) & (frf.frequency_hz < 8.0)].all()
+    assert not (frf.valid & wrong).any()
+    assert frf.valid[(frf.frequency_hz > 2.0) & (frf.frequency_hz < 8.0)].all()
 
 
 def test_a_resolution_that_was_asked_for_is_kept_and_its_bias_is_told():

@@ -9,7 +9,7 @@ from scipy.stats import binom
 
 import loopshape as ls
 from loopshape.data.algebra import regrid
-from loopshape.data.response.frf_arrays import trusted_lines
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.result.prediction import Comparison
 from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
 from loopshape.loop.predict.agreement import combined, on_common_lines, paired
@@ -54,7 +54,7 @@ def test_lines_that_a_lucky_variance_let_into_the_valid_band_are_not_judged() ->
         rng = np.random.default_rng(seed)
         one = measured(rng, LINES, arm().response(LINES), relative, OLD, averages=4, pooled=7)
         two = measured(rng, LINES, arm().response(LINES), 0.01, NEW, averages=4, pooled=7)
-        known = trusted_lines(LINES, one.relative_std[:, 0, 0], np.ones(LINES.size, dtype=bool))
+        known = valid_lines(LINES, one.relative_std[:, 0, 0], np.ones(LINES.size, dtype=bool))
         pair = on_common_lines(predicted(one.select(known)).sensitivity, sensitivity_of(two))
         ends.append(paired(*pair[:3]).excess[-5:])
     assert np.mean(ends) == pytest.approx(1.0, abs=3.5 / np.sqrt(5 * 120))
@@ -63,7 +63,7 @@ def test_lines_that_a_lucky_variance_let_into_the_valid_band_are_not_judged() ->
 @pytest.mark.parametrize(("relative", "gain"), [(0.02, 1.1), (0.05, 1.1), (0.1, 1.15)])
 def test_a_changed_gain_is_noticed_and_said_in_decibels(relative: float, gain: float) -> None:
     found = [again(seed, relative, (1.94, 20, 1), arm(kappa=1350.0 * gain)) for seed in range(25)]
-    assert sum(c.outcome == "did not hold" for c in found) >= 22
+    assert sum(c.outcome == "refuted" for c in found) >= 22
     lowest = np.mean([c.bands[0].sensitivity_db for c in found])  # there |S| goes as 1/|P|
     assert lowest == pytest.approx(-20.0 * np.log10(gain), abs=0.3)
 
@@ -71,7 +71,7 @@ def test_a_changed_gain_is_noticed_and_said_in_decibels(relative: float, gain: f
 @pytest.mark.parametrize("relative", [0.02, 0.05])
 def test_a_resonance_that_moved_is_noticed_where_it_is(relative: float) -> None:
     found = [again(seed, relative, (1.94, 20, 1), arm(f_hz=5.15)) for seed in range(25)]
-    assert sum(c.outcome == "did not hold" for c in found) >= 22
+    assert sum(c.outcome == "refuted" for c in found) >= 22
     worst = [c.worst for c in found]
     assert np.mean([w is not None and w.low_hz < 5.3 and w.high_hz > 4.7 for w in worst]) > 0.8
 
@@ -93,7 +93,7 @@ def test_a_deviation_within_the_tolerance_is_none() -> None:
     one = measured(rng, LINES, arm().response(LINES), 1e-3, OLD)
     two = measured(rng, LINES, gain * arm().response(LINES), 1e-3, NEW)
     outcomes = [compare(predicted(one), sensitivity_of(two), tolerance_db=t).outcome for t in (0.0, 0.2, 1.0)]
-    assert outcomes == ["did not hold", "did not hold", "held"]
+    assert outcomes == ["refuted", "refuted", "confirmed"]
 
 
 def test_a_local_deviation_is_not_drowned_by_lines_that_agree_too_well() -> None:
@@ -102,7 +102,7 @@ def test_a_local_deviation_is_not_drowned_by_lines_that_agree_too_well() -> None
     wide = lambda frf: ls.FRF(**{**vars(frf), "covariance": 16.0 * frf.covariance})  # noqa: E731
     one = wide(measured(rng, f, arm().response(f), 0.01, OLD))
     two = wide(measured(rng, f, arm(f_hz=5.4).response(f), 0.01, NEW))
-    assert compare(predicted(one), sensitivity_of(two)).outcome == "did not hold"
+    assert compare(predicted(one), sensitivity_of(two)).outcome == "refuted"
 
 
 def test_lines_that_differ_are_interpolated_and_it_is_said() -> None:
@@ -197,13 +197,13 @@ def two_plants(seed, relative, gain=1.0):
 @pytest.mark.long
 def test_one_plant_measured_twice_differs_as_often_as_the_level_says():
     found = [compare_plants(*two_plants(seed, 0.05)) for seed in range(300)]
-    assert within_binomial(sum(one.outcome == "did not hold" for one in found), 300, 0.05)
-    assert all(one.outcome == "held" for one in found if one.p_value >= 0.05)
+    assert within_binomial(sum(one.outcome == "refuted" for one in found), 300, 0.05)
+    assert all(one.outcome == "confirmed" for one in found if one.p_value >= 0.05)
 
 
 def test_a_gain_that_changed_by_half_a_db_between_two_frfs_is_found_with_its_size():
     found = compare_plants(*two_plants(1, 0.02, 10.0 ** (0.5 / 20.0)))
-    assert found.outcome == "did not hold"
+    assert found.outcome == "refuted"
     assert all(abs(band.sensitivity_db - 0.5) < 4.0 * band.std_db for band in found.bands)
     assert 0.05 < found.noticed_db < 0.2
-    assert compare_plants(*two_plants(1, 0.02, 10.0 ** (0.5 / 20.0)), tolerance_db=1.0).outcome == "held"
+    assert compare_plants(*two_plants(1, 0.02, 10.0 ** (0.5 / 20.0)), tolerance_db=1.0).outcome == "confirmed"

@@ -97,7 +97,7 @@ def test_draws_have_the_covariance_of_the_lines():
     frf = frf_of(F, G, 0.05)
     mixed = frf.covariance.copy()
     mixed[:, 0, 3] = mixed[:, 3, 0] = 0.9 * np.sqrt(mixed[:, 0, 0] * mixed[:, 3, 3])
-    correlated = type(frf)(F, G, mixed, frf.trusted, frf.inputs, frf.outputs, "mixed", rate_hz=frf.rate_hz)
+    correlated = type(frf)(F, G, mixed, frf.valid, frf.inputs, frf.outputs, "mixed", rate_hz=frf.rate_hz)
     scatter, _ = smoothed_matrix(correlated)
     one, two = scatter.deviations[:, :, 0, 0], scatter.deviations[:, :, 1, 1]
     correlation = np.abs(np.vdot(one, two)) / np.sqrt(np.vdot(one, one).real * np.vdot(two, two).real)

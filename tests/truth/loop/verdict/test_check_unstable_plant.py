@@ -21,12 +21,12 @@ WEAK = ls.Controller("l", (Block("gain", {"gain": 3.0}),), RATE)
 WISH = ls.Requirements("l", phase_margin_deg=20.0)
 
 
-def recorded(held_by, std=1e-4, last_hz=400.0):
+def recorded(recorded_under, std=1e-4, last_hz=400.0):
     f = np.geomspace(0.3, last_hz, 1500)
     G = TransferFunction(NUM, DEN).response(f)[:, None, None]
     return ls.FRF(
         f, G, (std * np.abs(G)) ** 2 + 0j, np.ones(f.size, dtype=bool), ("z_v",), ("y_m",), "made up",
-        recording="r", loop="l", rate_hz=RATE, held_by=held_by,
+        recording="r", loop="l", rate_hz=RATE, recorded_under=recorded_under,
     )  # fmt: skip
 
 
@@ -66,7 +66,7 @@ def test_a_single_unstable_pole_is_counted_too(std):
     error = std * np.abs(G) * (rng.standard_normal(G.shape) + 1j * rng.standard_normal(G.shape)) / np.sqrt(2.0)
     f, covariance = np.geomspace(0.5, 300.0, 600), (std * np.abs(G)) ** 2 + 0j
     frf = replace(
-        recorded(own), frequency_hz=f, response=G + error, covariance=covariance, trusted=np.ones(f.size, dtype=bool)
+        recorded(own), frequency_hz=f, response=G + error, covariance=covariance, valid=np.ones(f.size, dtype=bool)
     )
     (loop,), notes = loops_of([frf], WEAK, replace(WISH, integrators=0))
     assert loop.unstable_poles == 1
@@ -85,17 +85,17 @@ def test_a_record_with_the_wrong_sign_contradicts_itself():
     assert verdict.margins["r"].stable != "stable"
 
 
-@pytest.mark.parametrize("held_by", [None, WEAK])
-def test_nothing_is_counted_where_the_lines_cannot_carry_it(held_by):
+@pytest.mark.parametrize("recorded_under", [None, WEAK])
+def test_nothing_is_counted_where_the_lines_cannot_carry_it(recorded_under):
     # no controller known, or noise that covers -1: then nothing is made up, neither a pole nor that there is none
-    frf = recorded(held_by, std=3.0) if held_by is not None else recorded(None)
+    frf = recorded(recorded_under, std=3.0) if recorded_under is not None else recorded(None)
     (loop,), _ = loops_of([frf], WEAK, replace(WISH, integrators=1))
     assert loop.unstable_poles is None
     assert ls.check([frf], WEAK, replace(WISH, integrators=1)).outcome == "undecided"
 
 
 def test_a_resonance_above_the_trusted_band_is_not_overlooked():
-    # L crosses 0 dB near 1 Hz, falls, and comes up to 3 at 35 Hz, where the lines are known to 10 % and not trusted
+    # L crosses 0 dB near 1 Hz, falls, and comes up to 3 at 35 Hz, where the lines are known to 10 % and not valid
     w = TWO_PI * 35.0
     G = TransferFunction([6.0 * w * w], [1.0, 0.02 * w, w * w, 0.0])
     f = np.geomspace(0.1, 60.0, 1500)
@@ -106,7 +106,7 @@ def test_a_resonance_above_the_trusted_band_is_not_overlooked():
         frequency_hz=f,
         response=response,
         covariance=(share * np.abs(response)) ** 2 + 0j,
-        trusted=f < 15.0,
+        valid=f < 15.0,
     )
     unit = ls.Controller("l", (Block("gain", {"gain": 1.0}),), RATE)
     margins = ls.check([frf], unit, replace(WISH, integrators=1, unstable_poles=0)).margins["r"]

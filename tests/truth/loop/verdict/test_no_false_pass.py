@@ -66,9 +66,7 @@ def growing(f):
 
 def test_a_growing_mode_that_nobody_declared_does_not_pass():
     frf = measured(growing, np.geomspace(0.3, 100.0, 300), 0.01)
-    frf = ls.FRF(
-        frf.frequency_hz, frf.response, frf.covariance, frf.trusted, ("u",), ("y",), "known", "one", "x", 1000.0
-    )
+    frf = ls.FRF(frf.frequency_hz, frf.response, frf.covariance, frf.valid, ("u",), ("y",), "known", "one", "x", 1000.0)
     wish = ls.Requirements("x", phase_margin_deg=45.0)
     margins = check([frf], LOW_PASS, wish).margins["one"]
     assert margins.stable == "undecided"

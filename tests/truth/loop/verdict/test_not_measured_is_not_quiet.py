@@ -61,7 +61,7 @@ def test_a_mode_above_a_poor_band_bounds_the_gain_margin_as_it_was_measured():
     poor = (f > 3.8) & (f < 4.3)
     relative = np.where(poor, 0.4, 0.01)
     P = ls.FRF.from_arrays(f, G, relative_std=0.01, rate_hz=4000.0, open_loop=True)
-    P = replace(P, covariance=(relative * np.abs(G))[:, None, None] ** 2 + 0j, trusted=f <= 3.8)
+    P = replace(P, covariance=(relative * np.abs(G))[:, None, None] ** 2 + 0j, valid=f <= 3.8)
     asked = {"integrators": 0, "unstable_poles": 0}
     assert not under_gain(P, gain_margin_db=true_db + 1.0, **asked).passed
     assert only(under_gain(P, gain_margin_db=6.0, **asked)).gain_margin_db < true_db + 0.2
