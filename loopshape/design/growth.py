@@ -89,7 +89,7 @@ class Task:
         C = p.controller(best.found.x)
         if self.requirements.detuning_percent is not None:
             return check(self.frfs, C, self.requirements, self.fits, disturbances=self.disturbances)
-        loops = [replace(loop, controller=C) for loop in self.loops]
+        loops = [replace(loop, controllers=(C,)) for loop in self.loops]
         named = dict(zip(points_of(self.frfs), loops, strict=True))
         found = verdict_from(best.verdict.margins, named, self.requirements)
         notes = error_warnings(named, of_points(named, self.disturbances), self.requirements)

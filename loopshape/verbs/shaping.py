@@ -11,7 +11,7 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.block import Block
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import LoopMatrix
+from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
@@ -59,9 +59,7 @@ class SeveralLoops:
         matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.held)
         return [self._one(own, controllers, matrices) for own in controllers]
 
-    def _one(
-        self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, LoopMatrix]
-    ) -> ShapingSession:
+    def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, Loop]) -> ShapingSession:
         required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
         met = plants_met(own.loop, matrices)
         rest = tuple(one for one in controllers if one is not own)

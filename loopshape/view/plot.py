@@ -57,8 +57,8 @@ class Plots:
     __name__ = "loopshape.plot"
 
     def __call__(self, thing: object) -> Figure:
-        """The picture that suits one thing: an FRF, a loop, a controller or a tuning, an interaction, a verdict, a
-        prediction, or a toolbox's noun.
+        """The picture that suits one thing: an FRF, a loop (of several S), a controller or a tuning, an interaction, a
+        verdict, a prediction, or a toolbox's noun.
 
         Raises WrongUseError for what has none.
         """
@@ -68,7 +68,7 @@ class Plots:
             case FRF():
                 return self.matrix(thing)
             case Loop():
-                return bode_page(thing, None)
+                return bode_page(thing, None) if thing.is_one else self.matrix(thing.sensitivity)
             case Controller():
                 return self.frf(controller_frf(thing, thing.rate_hz * GRID, ("e",), ("z",)))
             case Interaction():

@@ -51,7 +51,7 @@ def test_the_determinant_keeps_its_phase(alike):
 def test_singular_values_stand_under_their_limit(alike):
     ax = singular_values(alike[0], "S", 8.0, scaled=False)
     lines = by_gid(ax)
-    np.testing.assert_allclose(lines["largest"].get_ydata(), db(np.linalg.norm(alike[0].S_o, 2, axis=(1, 2))))
+    np.testing.assert_allclose(lines["largest"].get_ydata(), db(np.linalg.norm(alike[0].S, 2, axis=(1, 2))))
     assert lines["limit"].get_ydata()[0] == 8.0
     assert ax.get_ylabel() == "singular values of S [dB]"
     assert ax.get_xlabel() == "frequency [Hz]"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_nouns import Block, LoopMatrix
+from bench_nouns import Block, Loop
 from conversions import TWO_PI
 from run_files import read_required
 from several_cases import RATE_HZ, frf_of, gain
@@ -62,8 +62,8 @@ def test_singular_values_where_the_outputs_have_different_units():
 
 
 def test_a_plant_that_is_not_square():
-    with pytest.raises(ls.errors.WrongUseError, match="a square plant, and a controller and a name for each"):
-        LoopMatrix(frf(), (gain("a"),), ("a",))
+    with pytest.raises(ls.errors.WrongUseError, match="a square plant, and a controller for each"):
+        Loop(frf(), (gain("a"),))
 
 
 @pytest.mark.parametrize(

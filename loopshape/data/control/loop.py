@@ -12,9 +12,9 @@ e = r - y (+ n) enters C; z is what C answers; P goes from what enters the plant
 S = 1/(1 + L), T = L/(1 + L), CS = C/(1 + L), PS = P/(1 + L).
 
 Several loops wide, controller k goes from output k to input k: C is diagonal. Broken at the plant's inputs the open
-loop is L_i = C P, at its outputs L_o = P C. With one controller a loop L_o = C^-1 L_i C: both have the same
+loop is L_i = C P, at its outputs L = P C. With one controller a loop L = C^-1 L_i C: both have the same
 eigenvalues, det(I + L), and structured singular values for one error a loop; only their plain singular values differ,
-and those of S_o and T_o depend on the outputs' units.
+and those of S and T depend on the outputs' units.
 """
 
 from __future__ import annotations
@@ -22,20 +22,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.algebra import ClosedLoop, controller_frf, product
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.response.smoothed import Scatter
-
-if TYPE_CHECKING:
-    from loopshape.data.algebra import ClosedLoop
 
 #: lines above the band known to this share of their size, at the end of their circle, tell what |L| is there
 KNOWN_ABOVE = 0.2
@@ -66,74 +64,156 @@ def _kept(values: Values) -> Values:
     return values
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class Loop:
-    """One plant FRF (1 x 1) under one controller; responses (nf,) on the FRF's lines.
+    """A square plant FRF under one controller a loop, the k-th from output k to input k.
 
     >>> import loopshape as ls
     >>> P = ls.FRF.from_arrays([1.0, 2.0], [1.0 + 0j, 0.5], std=0.01)
     >>> ls.Loop(P, ls.controller(ls.gain(1.0), rate_hz=100.0)).complementary.siso.real.round(3).tolist()
     [0.5, 0.333]
 
-    `integrators` is the number of poles of the plant at s = 0, `unstable_poles` in the right half plane (None: not
-    known); the data alone do not show them, they come from the recorded loop, a fit or the user. `model`, where there
-    is a fit, says how the plant goes on below the lowest line; only the count of encirclements uses it. `beyond` holds
-    lines above those that are used, less sure: they may still show that |L| comes up again. Where `plant` was
-    smoothed over its lines, `raw` are these as they were measured, and `scatter` draws what noise does to `plant`.
+    `controllers` is one controller, or a sequence of them in the order of the channels. Responses C, L, S, T, CS and PS
+    are (nf,) of one loop and (nf, n, n) of n, broken at the plant's outputs; those ending in _i are (nf, n, n), broken
+    at its inputs. `open_loop`, `sensitivity`, `complementary`, `process` and `control` are FRFs with their covariance.
+
+    `integrators` is the number of poles of the plant at s = 0 (of several loops as a minimal realisation has them: two
+    axes that integrate have two), `unstable_poles` in the right half plane (None: not known); the data alone do not
+    show them, they come from the recorded loop, a fit or the user. `beyond` holds lines above those that are used, less
+    sure: they may still show that |L| comes up again. `recorded_under` are the controllers, in the same order, under
+    which all loops were closed and stood when the plant was recorded; empty where that is not known.
+
+    Of one loop `model`, where there is a fit, says how the plant goes on below the lowest line; only the count of
+    encirclements uses it. Where `plant` was smoothed over its lines, `raw` are these as they were measured, and
+    `scatter` draws what noise does to `plant`.
+
+    Refuses another number of controllers than loops, several rates, and lines at or above half the rate.
     """
 
     plant: FRF
-    controller: Controller
-    integrators: int | None = 0
-    unstable_poles: int | None = None
-    model: TransferFunction | None = None
-    beyond: FRF | None = None
-    raw: FRF | None = None
-    scatter: Scatter | None = None
+    controllers: tuple[Controller, ...]
+    integrators: int | None
+    unstable_poles: int | None
+    model: TransferFunction | None
+    beyond: FRF | None
+    raw: FRF | None
+    scatter: Scatter | None
+    recorded_under: tuple[Controller, ...]
+
+    def __init__(
+        self,
+        plant: FRF,
+        controllers: Controller | Sequence[Controller],
+        integrators: int | None = 0,
+        unstable_poles: int | None = None,
+        model: TransferFunction | None = None,
+        beyond: FRF | None = None,
+        raw: FRF | None = None,
+        scatter: Scatter | None = None,
+        recorded_under: Sequence[Controller] = (),
+    ) -> None:
+        every = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
+        _refuse_unlike(plant, every)
+        vars(self).update(
+            plant=plant, controllers=every, integrators=integrators, unstable_poles=unstable_poles, model=model,
+            beyond=beyond, raw=raw, scatter=scatter, recorded_under=tuple(recorded_under),
+        )  # fmt: skip
+
+    @property
+    def is_one(self) -> bool:
+        """Whether this is one loop, whose responses are (nf,)."""
+        return len(self.controllers) == 1
+
+    @property
+    def controller(self) -> Controller:
+        """The controller of one loop; refuses several."""
+        if not self.is_one:
+            raise WrongUseError("one loop's controller was requested of several loops", ", ".join(self.names))
+        return self.controllers[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The loops by their controllers, in the order of the channels."""
+        return tuple(one.loop for one in self.controllers)
 
     @property
     def frequency_hz(self) -> Array:
         """The FRF's lines in Hz."""
         return self.plant.frequency_hz
 
+    @property
+    def P(self) -> ComplexArray:
+        """The plant's response (nf, n, n)."""
+        return self.plant.response
+
+    @cached_property
+    def c(self) -> ComplexArray:
+        """Controllers as they run, discretised, (nf, n)."""
+        return _kept(responses(self.controllers, self.frequency_hz))
+
     @cached_property
     def C(self) -> ComplexArray:
-        """Controller as it runs, discretised."""
-        return _kept(self.controller.response(self.frequency_hz))
+        """Controller as it runs, of several loops diagonal."""
+        return _kept(self.c[:, 0] if self.is_one else self.c[:, :, None] * np.eye(len(self.controllers)))
 
     @cached_property
     def L(self) -> ComplexArray:
-        """Open loop C P."""
-        return _kept(self.C * self.plant.siso)
+        """Open loop P C."""
+        return _kept(self.c[:, 0] * self.plant.siso if self.is_one else self.P * self.c[:, None, :])
 
     @property
     def S(self) -> ComplexArray:
-        """Sensitivity."""
-        return np.asarray(1.0 / (1.0 + self.L))
+        """Sensitivity (I + P C)^-1."""
+        return np.asarray(1.0 / (1.0 + self.L)) if self.is_one else sensitivity(self.L)
 
     @property
     def T(self) -> ComplexArray:
-        """Complementary sensitivity."""
-        return self.L * self.S
+        """Complementary sensitivity P C (I + P C)^-1."""
+        return self.L * self.S if self.is_one else self.L @ self.S
 
     @property
     def CS(self) -> ComplexArray:
-        """Control sensitivity."""
-        return self.C * self.S
+        """Control sensitivity C (I + P C)^-1 = (I + C P)^-1 C."""
+        return self.C * self.S if self.is_one else np.asarray(self.c[:, :, None] * self.S)
 
     @property
     def PS(self) -> ComplexArray:
-        """Process sensitivity."""
-        return self.plant.siso * self.S
+        """Process sensitivity (I + P C)^-1 P = P (I + C P)^-1."""
+        return self.plant.siso * self.S if self.is_one else self.P @ self.S_i
+
+    @property
+    def L_i(self) -> ComplexArray:
+        """Open loop at the plant's inputs, C P."""
+        return np.asarray(self.c[:, :, None] * self.P)
+
+    @property
+    def S_i(self) -> ComplexArray:
+        """Sensitivity at the plant's inputs, (I + C P)^-1."""
+        return sensitivity(self.L_i)
+
+    @property
+    def T_i(self) -> ComplexArray:
+        """Complementary sensitivity at the plant's inputs, C P (I + C P)^-1."""
+        return self.L_i @ self.S_i
+
+    @property
+    def determinant(self) -> ComplexArray:
+        """det(I + L) (nf,), the same at the plant's inputs and outputs."""
+        return np.asarray(np.linalg.det(np.eye(len(self.controllers)) + self.L_i))
+
+    def controller_integrators(self) -> int:
+        """Poles at s = 0 of all controllers together."""
+        return sum(one.integrators() for one in self.controllers)
 
     @property
     def open_loop(self) -> FRF:
         """L = P C as a FRF with its covariance."""
-        return self.plant * self.controller
+        C = controller_frf(self.controllers, self.frequency_hz, self.plant.outputs, self.plant.inputs)
+        return product(self.plant, C, connect="order")
 
     @property
     def sensitivity(self) -> FRF:
-        """S = 1/(1 + P C) as a FRF with its covariance."""
+        """S = (I + P C)^-1 as a FRF with its covariance."""
         return self._closed.S_o
 
     @property
@@ -153,12 +233,12 @@ class Loop:
 
     @cached_property
     def _closed(self) -> ClosedLoop:
-        return self.plant.feedback(self.controller)
+        return self.plant.feedback(self.controllers)
 
     @cached_property
     def above_hz(self) -> Array:
         """Frequencies from the last line to nine tenths of half the rate, where no line was measured."""
-        return _kept(above_hz(float(self.frequency_hz[-1]), self.controller.rate_hz))
+        return _kept(above_hz(float(self.frequency_hz[-1]), self.controllers[0].rate_hz))
 
     @cached_property
     def C_above(self) -> ComplexArray:
@@ -202,111 +282,21 @@ class Loop:
         return np.zeros(0, dtype=complex) if self.model is None else self.model.response(self.below_hz)
 
 
-@dataclass(frozen=True, eq=False)
-class LoopMatrix:
-    """A square plant FRF under one controller a loop, the k-th from output k to input k; responses (nf, n, n).
-
-    `names` are the loops in that order. `integrators` is the number of poles of the whole plant at s = 0, as a minimal
-    realisation has them (two axes that integrate have two), `unstable_poles` in the right half plane, counted alike
-    (None: not known). `beyond` holds lines above those that are used, less sure: they may still show that L comes up
-    again. `held` are the controllers, in the same order, under which all loops were closed and stood when the plant was
-    recorded; empty where that is not known.
-    Refuses another number of controllers than loops, several rates, and lines at or above half the rate.
-    """
-
-    plant: FRF
-    controllers: tuple[Controller, ...]
-    names: tuple[str, ...]
-    integrators: int | None = None
-    unstable_poles: int | None = None
-    beyond: FRF | None = None
-    held: tuple[Controller, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "controllers", tuple(self.controllers))
-        object.__setattr__(self, "names", tuple(self.names))
-        ny, nu = self.plant.response.shape[1:]
-        if not ny == nu == len(self.controllers) == len(self.names):
-            raise WrongUseError(
-                "several loops need a square plant, and a controller and a name for each of them",
-                f"{ny} x {nu}, {len(self.controllers)} controllers, {len(self.names)} names",
-                "pick the loops' channels",
-            )
-        rates = sorted({c.rate_hz for c in self.controllers} | ({self.plant.rate_hz} - {0.0}))
-        if len(rates) > 1:
-            raise WrongUseError(
-                f"the controllers of {', '.join(self.names)} and the recording {self.plant.recording} have one rate",
-                ", ".join(f"{rate:g} Hz" for rate in rates),
-            )
-
-    @property
-    def frequency_hz(self) -> Array:
-        """The FRF's lines in Hz."""
-        return self.plant.frequency_hz
-
-    @property
-    def P(self) -> ComplexArray:
-        """The plant's response."""
-        return self.plant.response
-
-    @property
-    def c(self) -> ComplexArray:
-        """Controllers as they run, (nf, n)."""
-        return responses(self.controllers, self.frequency_hz)
-
-    @property
-    def C(self) -> ComplexArray:
-        """Controllers as they run, diagonal (nf, n, n)."""
-        return np.asarray(self.c[:, :, None] * np.eye(len(self.names)))
-
-    @property
-    def L_i(self) -> ComplexArray:
-        """Open loop at the plant's inputs, C P."""
-        return np.asarray(self.c[:, :, None] * self.P)
-
-    @property
-    def L_o(self) -> ComplexArray:
-        """Open loop at the plant's outputs, P C."""
-        return np.asarray(self.P * self.c[:, None, :])
-
-    @property
-    def determinant(self) -> ComplexArray:
-        """det(I + L) (nf,), the same at both places."""
-        return np.asarray(np.linalg.det(np.eye(len(self.names)) + self.L_i))
-
-    @property
-    def S_i(self) -> ComplexArray:
-        """Sensitivity at the plant's inputs, (I + C P)^-1."""
-        return sensitivity(self.L_i)
-
-    @property
-    def S_o(self) -> ComplexArray:
-        """Sensitivity at the plant's outputs, (I + P C)^-1."""
-        return sensitivity(self.L_o)
-
-    @property
-    def T_i(self) -> ComplexArray:
-        """Complementary sensitivity at the plant's inputs, C P (I + C P)^-1."""
-        return self.L_i @ self.S_i
-
-    @property
-    def T_o(self) -> ComplexArray:
-        """Complementary sensitivity at the plant's outputs, P C (I + P C)^-1."""
-        return self.L_o @ self.S_o
-
-    @property
-    def CS(self) -> ComplexArray:
-        """Control sensitivity, C (I + P C)^-1 = (I + C P)^-1 C."""
-        return np.asarray(self.c[:, :, None] * self.S_o)
-
-    @property
-    def PS(self) -> ComplexArray:
-        """Process sensitivity, P (I + C P)^-1 = (I + P C)^-1 P."""
-        return self.P @ self.S_i
-
-    def controller_integrators(self) -> int:
-        """Poles at s = 0 of all controllers together."""
-        return sum(c.integrators() for c in self.controllers)
+def _refuse_unlike(plant: FRF, controllers: tuple[Controller, ...]) -> None:
+    """Refuse a plant that is not as wide and as high as there are controllers, and several rates."""
+    ny, nu = plant.response.shape[1:]
+    if not ny == nu == len(controllers):
+        raise WrongUseError(
+            "a loop needs a square plant, and a controller for each channel", f"{ny} x {nu}, {len(controllers)}"
+            f" controller{'s' * (len(controllers) != 1)}", "pick the loops' channels",
+        )  # fmt: skip
+    rates = sorted({one.rate_hz for one in controllers} | ({plant.rate_hz} - {0.0}))
+    if len(rates) > 1:
+        names = ", ".join(one.loop for one in controllers)
+        raise WrongUseError(
+            f"the controllers of {names} and the recording {plant.recording} have one rate",
+            ", ".join(f"{rate:g} Hz" for rate in rates),
+        )
 
 
 def responses(controllers: Sequence[Controller], frequency_hz: Array) -> ComplexArray:

@@ -63,7 +63,7 @@ def judged(
     `disturbances` tell the rms of the error by the copies' names.
     """
     names = list(loops) if points is None else [list(loops)[k] for k in points]
-    mine = {name: replace(loops[name], controller=controller) for name in names}
+    mine = {name: replace(loops[name], controllers=(controller,)) for name in names}
     shaken = {name: one for name, one in (disturbances or {}).items() if name in mine}
     return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False, disturbances=shaken)
 
@@ -88,7 +88,7 @@ def closer(
         if found is None or found.interval_percent[0] >= required:
             continue
         own = requirements.of(loop.plant.operating_point)
-        percent, missed = worst_shift(replace(loop, controller=controller), margins, own, required)
+        percent, missed = worst_shift(replace(loop, controllers=(controller,)), margins, own, required)
         near = [one for one in copies if one.index == k and abs(one.percent - percent) < BESIDE * required]
         reach = max((abs(one.percent) for one in near), default=0.0)
         if not near:

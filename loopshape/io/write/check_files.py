@@ -10,7 +10,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop, LoopMatrix
+from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
@@ -56,7 +56,7 @@ class LoopCheck:
 class MatrixCheck:
     """Several loops of one plant: the loops by operating point, what all must keep together, and what came out."""
 
-    matrices: Mapping[str, LoopMatrix]
+    matrices: Mapping[str, Loop]
     several: SeveralRequirements
     verdict: Verdict
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, deg, rad
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop, LoopMatrix, characteristic_loci, responses, sensitivity
+from loopshape.data.control.loop import Loop, characteristic_loci, responses, sensitivity
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix
@@ -37,7 +37,7 @@ DRAWN = 50
 _SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
 
 
-def closed_loops_stability(loops: LoopMatrix) -> Stability:
+def closed_loops_stability(loops: Loop) -> Stability:
     """The count for all loops of a plant at once, on the lines of its matrix.
 
     Integrators and unstable poles of the whole plant are the noun's word; a wrong word gives a wrong answer. Gain and
@@ -48,7 +48,7 @@ def closed_loops_stability(loops: LoopMatrix) -> Stability:
     covers zero.
     """
     counted = encirclement_count(loops)
-    from_held = count_from_held(loops) if loops.held else counted
+    from_held = count_from_held(loops) if loops.recorded_under else counted
     if isinstance(from_held, Obstacle) and isinstance(counted, Obstacle):
         return Stability("undecided", None, counted.reason, counted.band_hz)
     poles = counted if isinstance(from_held, Obstacle) else from_held
@@ -75,7 +75,7 @@ def _why_stable(counted: bool) -> str:
     return "from the loops that were recorded and stood to these, det(I + L) does not encircle 0"
 
 
-def encirclement_count(loops: LoopMatrix) -> int | Obstacle:
+def encirclement_count(loops: Loop) -> int | Obstacle:
     """Unstable closed-loop poles, or what keeps the lines from telling.
 
     Negative where the plant's unstable poles are fewer than those that the encirclements would need.
@@ -99,14 +99,14 @@ def encirclement_count(loops: LoopMatrix) -> int | Obstacle:
     return poles - 2 * between.turns
 
 
-def count_from_held(loops: LoopMatrix) -> int | Obstacle:
+def count_from_held(loops: Loop) -> int | Obstacle:
     """Unstable closed-loop poles by what changed since the loops were recorded and stood, or what keeps from telling.
 
     det(I + L) over what it was under the recorded controllers: the plant's own poles cancel, integrators and unstable
     ones alike, so that nothing is to be declared. The ratio must be near the real axis at the first line, as gains of
     one sign make it there; what differs below the first line by more than that is not seen.
     """
-    stood = replace(loops, controllers=loops.held, held=())
+    stood = replace(loops, controllers=loops.recorded_under, recorded_under=())
     D = loops.determinant / stood.determinant
     more = loops.controller_integrators() - stood.controller_integrators()
     path = _path(loops, stood)
@@ -126,7 +126,7 @@ def count_from_held(loops: LoopMatrix) -> int | Obstacle:
     return round(0.5 * more - turn / np.pi) - 2 * between.turns
 
 
-def followed_matrix(loops: LoopMatrix, draws: int | None = None) -> Dense:
+def followed_matrix(loops: Loop, draws: int | None = None) -> Dense:
     """The smoothed plant with (some of) its draws, on lines and on places between them where I + L moves far."""
     lines, P = loops.frequency_hz, loops.P
     found = smoothed_matrix(loops.plant)
@@ -140,7 +140,7 @@ def followed_matrix(loops: LoopMatrix, draws: int | None = None) -> Dense:
     return dense.between(np.where(small[1:], 0.0, moved), np.minimum(room[1:], room[:-1]), STEP, MOST)
 
 
-def _path(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Path:
+def _path(loops: Loop, stood: Loop | None = None) -> Path:
     """det(I + L) - 1 between lines, with `stood` over that of the same plant under other controllers."""
     dense = followed_matrix(loops, DRAWN)
     D, moved = _determinant(loops, dense)
@@ -151,7 +151,7 @@ def _path(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Path:
     return Path(dense.frequency_hz, D - 1.0, np.abs(D) * rms, alike, np.isin(dense.frequency_hz, loops.frequency_hz))
 
 
-def _determinant(loops: LoopMatrix, dense: Dense) -> tuple[ComplexArray, ComplexArray]:
+def _determinant(loops: Loop, dense: Dense) -> tuple[ComplexArray, ComplexArray]:
     """det(I + L) (n,), and what draws of the plant's error do to its logarithm (draws, n): tr(C S_o dP)."""
     c = responses(loops.controllers, dense.frequency_hz)
     whole = np.eye(len(loops.names)) + c[:, :, None] * dense.response
@@ -159,7 +159,7 @@ def _determinant(loops: LoopMatrix, dense: Dense) -> tuple[ComplexArray, Complex
     return np.linalg.det(whole), np.einsum("fij,dfji->df", slope, dense.deviations, optimize=True)
 
 
-def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
+def _as_one(loops: Loop, D: ComplexArray, variance: Array) -> Loop:
     """A loop whose 1 + L is D, with E|d ln D|² (nf,)."""
     plant, rate_hz = loops.plant, loops.controllers[0].rate_hz
     own = np.nan_to_num(np.abs(D) ** 2 * variance, posinf=0.0)  # nan: D passes 0 on a line
@@ -171,7 +171,7 @@ def _as_one(loops: LoopMatrix, D: ComplexArray, variance: Array) -> Loop:
     return Loop(made, Controller("det", (Block("gain", {"gain": 1.0}),), rate_hz), None, 0)
 
 
-def _sampling(loops: LoopMatrix, as_one: Loop, path: Path) -> Sampling:
+def _sampling(loops: Loop, as_one: Loop, path: Path) -> Sampling:
     """What lies between the lines of det(I + L) and off its path, where an element of the plant shows a pole there too.
 
     The determinant's poles are those of the elements; what only it shows is a bend near a crossover. A pole that the
@@ -210,7 +210,7 @@ def count_by_determinant(
     return round(unstable_poles + 0.5 * integrators - turn / np.pi)
 
 
-def _high_doubt(loops: LoopMatrix, loci: ComplexArray) -> Obstacle | None:
+def _high_doubt(loops: Loop, loci: ComplexArray) -> Obstacle | None:
     f = loops.frequency_hz
     size = float(np.abs(loci[-1]).max())
     rate_hz = loops.controllers[0].rate_hz
@@ -242,7 +242,7 @@ def _on_it(f: Array, loci: ComplexArray, followed: np.ndarray) -> Obstacle | Non
     )
 
 
-def _doubt(loops: LoopMatrix, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Obstacle | None:
+def _doubt(loops: Loop, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Obstacle | None:
     """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
     if path.f.size < 2:
         return Obstacle("one frequency does not make a curve")
@@ -251,7 +251,7 @@ def _doubt(loops: LoopMatrix, loci: ComplexArray, path: Path, between: Sampling,
     return found or between.unclear
 
 
-def determinant_variance(loops: LoopMatrix, stood: LoopMatrix | None = None) -> Array:
+def determinant_variance(loops: Loop, stood: Loop | None = None) -> Array:
     """E|d|² (nf,) of ln det(I + L), to first order in the plant's error: d ln det(I + P C) = tr(C S_o dP).
 
     With `stood`, the same plant under other controllers, that of their ratio. Where it is not well below 1 the first

@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import LoopMatrix
+from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.verdict import SeveralMargins, Verdict
@@ -47,7 +47,7 @@ def check_several(
 
 
 def verdict_on_matrices(
-    matrices: Mapping[str, LoopMatrix],
+    matrices: Mapping[str, Loop],
     requirements: Sequence[Requirements],
     several: SeveralRequirements,
     notes: Sequence[str] = (),
@@ -71,7 +71,7 @@ def loop_matrices(
     *,
     loops: Sequence[str] | None = None,
     held: Sequence[Controller] = (),
-) -> tuple[dict[str, LoopMatrix], list[str]]:
+) -> tuple[dict[str, Loop], list[str]]:
     """The loops on the lines that a check looks at, by recording, and what had to be assumed of the plant."""
     if not frfs:
         raise WrongUseError("there is no matrix FRF to check", "", "estimate it: loopshape frf RUN --matrix")
@@ -130,16 +130,16 @@ def _loop_matrix(
     names: tuple[str, ...],
     several: SeveralRequirements,
     held: Sequence[Controller],
-) -> tuple[LoopMatrix, list[str]]:
+) -> tuple[Loop, list[str]]:
     """The loops on the lines that a check looks at, and what had to be assumed of the plant."""
     lines = frf.between(*several.band_hz) if several.band_hz else frf.valid_lines()
     known = {one.loop: one for one in held}
     stood = tuple(known[name] for name in names) if set(names) <= set(known) else ()
     poles = several.integrators, several.unstable_poles
-    made = LoopMatrix(lines, controllers, names, *poles, beyond_lines(frf, lines), stood)
+    made = Loop(lines, controllers, *poles, beyond=beyond_lines(frf, lines), recorded_under=stood)
     notes: list[str] = []
     declared = several.integrators is not None and several.unstable_poles is not None
-    if made.held and not declared and isinstance(count_from_held(made), int):
+    if made.recorded_under and not declared and isinstance(count_from_held(made), int):
         return replace(made, integrators=None), notes  # the recorded loops tell all, and nothing has to be assumed
     if several.integrators is None:
         integrators, note = read_integrators(made)
@@ -150,13 +150,13 @@ def _loop_matrix(
     return replace(made, unstable_poles=unstable), [*notes, *told]
 
 
-def _held_poles(loops: LoopMatrix) -> tuple[int | None, tuple[str, ...]]:
+def _held_poles(loops: Loop) -> tuple[int | None, tuple[str, ...]]:
     """Unstable poles of the plant by the loops that were recorded, which stood; None where they do not tell."""
     if loops.plant.open_loop:
         return 0, ()
-    if not loops.held:
+    if not loops.recorded_under:
         return None, ()
-    count = encirclement_count(replace(loops, controllers=loops.held, held=(), unstable_poles=0))
+    count = encirclement_count(replace(loops, controllers=loops.recorded_under, recorded_under=(), unstable_poles=0))
     if not isinstance(count, int):
         return None, ()
     if count > 0:
@@ -168,7 +168,7 @@ def _held_poles(loops: LoopMatrix) -> tuple[int | None, tuple[str, ...]]:
 
 def _one(
     name: str,
-    matrices: Mapping[str, LoopMatrix],
+    matrices: Mapping[str, Loop],
     margins: Mapping[str, SeveralMargins],
     required: Requirements | None,
 ) -> Verdict:
@@ -188,7 +188,7 @@ def _one(
     return replace(found, margins=together)
 
 
-def plants_met(name: str, matrices: Mapping[str, LoopMatrix]) -> tuple[FRF, ...]:
+def plants_met(name: str, matrices: Mapping[str, Loop]) -> tuple[FRF, ...]:
     """The plant that a loop meets with all others closed, at each operating point."""
     return tuple(
         replace(
@@ -200,7 +200,7 @@ def plants_met(name: str, matrices: Mapping[str, LoopMatrix]) -> tuple[FRF, ...]
     )
 
 
-def unstable_poles_met(name: str, matrices: Mapping[str, LoopMatrix], required: Requirements) -> int | None:
+def unstable_poles_met(name: str, matrices: Mapping[str, Loop], required: Requirements) -> int | None:
     """Unstable poles of the plants that a loop meets with all others closed, None where they are not known.
 
     Those of all loops closed, by det(I + L), and as many more as L of this loop alone encircles -1. None too where

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, deg
-from loopshape.data.control.loop import LoopMatrix, characteristic_loci
+from loopshape.data.control.loop import Loop, characteristic_loci
 from loopshape.loop.stability.obstacles import Obstacle
 
 #: the lowest lines, this ratio of frequencies and four at least, tell the slope there
@@ -75,7 +75,7 @@ def _wrapped(angle_deg: float) -> float:
     return (angle_deg + 180.0) % 360.0 - 180.0
 
 
-def read_integrators(loops: LoopMatrix) -> tuple[int | None, str]:
+def read_integrators(loops: Loop) -> tuple[int | None, str]:
     """Integrators of the whole plant by the slope of the lowest lines, None where it is not near a whole number."""
     low = low_end(loops.frequency_hz, characteristic_loci(loops.L_i))
     own = loops.controller_integrators()
@@ -86,7 +86,7 @@ def read_integrators(loops: LoopMatrix) -> tuple[int | None, str]:
     return every - own, f"plant taken to have {every - own} {word} in all, from the lowest frequencies of det(I + L)"
 
 
-def low_doubt(loops: LoopMatrix, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
+def low_doubt(loops: Loop, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
     """Why the lowest lines do not tell how det(I + L) goes on below them, None where they do."""
     f = loops.frequency_hz
     lower = (0.1 * float(f[0]), float(f[0]))

@@ -10,7 +10,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
-from loopshape.data.control.loop import Loop, LoopMatrix, responses, sensitivity
+from loopshape.data.control.loop import Loop, responses, sensitivity
 from loopshape.data.response.smoothed import Dense
 from loopshape.data.result.verdict import SeveralMargins
 from loopshape.data.signal.channel import Channel, sum_terms
@@ -53,7 +53,7 @@ class _Peak(NamedTuple):
     beside: float
 
 
-def several_margins(loops: LoopMatrix) -> SeveralMargins:
+def several_margins(loops: Loop) -> SeveralMargins:
     """Margins of all loops at once, on the lines of the plant's matrix.
 
     With M = (S - T)/2 the loops stand every change of theirs by (1 + d/2)/(1 - d/2), |d| < a complex, as long as
@@ -124,7 +124,7 @@ def several_margins(loops: LoopMatrix) -> SeveralMargins:
     )
 
 
-def _of_one(loops: LoopMatrix) -> SeveralMargins:
+def _of_one(loops: Loop) -> SeveralMargins:
     """Of one loop its own margins: the same lines, the same draws, the same intervals."""
     plant, scatter = smoothed(loops.plant)
     loop = Loop(
@@ -162,7 +162,7 @@ def _ends(name: str, value: float, reach: tuple[float, float]) -> tuple[float, f
     return min(ends), max(ends)
 
 
-def _one_unit(loops: LoopMatrix) -> bool:
+def _one_unit(loops: Loop) -> bool:
     units = set()
     for output in loops.plant.outputs:
         try:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
-from loopshape.data.control.loop import LoopMatrix, characteristic_loci
+from loopshape.data.control.loop import Loop, characteristic_loci
 from loopshape.data.requirement.requirements import Margins, SeveralRequirements
 from loopshape.data.result.verdict import SeveralMargins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
@@ -25,7 +25,7 @@ _LEVELS = (1.0, 10.0, 100.0)
 
 
 @styled()
-def loci(loops: LoopMatrix, *, ax: Axes | None = None) -> Axes:
+def loci(loops: Loop, *, ax: Axes | None = None) -> Axes:
     """Eigenvalues of L near -1, each as a curve, with the unit circle; dots mark where a curve leaves the axes."""
     ax = axes_or_new(ax, (3.5, 3.4))
     curves = characteristic_loci(loops.L_i)
@@ -42,7 +42,7 @@ def loci(loops: LoopMatrix, *, ax: Axes | None = None) -> Axes:
 
 
 @styled()
-def determinant(loops: LoopMatrix, *, ax: Axes | None = None) -> Axes:
+def determinant(loops: Loop, *, ax: Axes | None = None) -> Axes:
     """det(I + L) around 0 for rising frequency, its size drawn as ln(1 + size); circles at 1, 10 and 100."""
     ax = axes_or_new(ax, (3.5, 3.4))
     drawn = _shrunk(loops.determinant)
@@ -69,9 +69,7 @@ def _shrunk(values: ComplexArray) -> ComplexArray:
 
 
 @styled()
-def singular_values(
-    loops: LoopMatrix, name: str, limit_db: float | None, *, scaled: bool, ax: Axes | None = None
-) -> Axes:
+def singular_values(loops: Loop, name: str, limit_db: float | None, *, scaled: bool, ax: Axes | None = None) -> Axes:
     """Largest and least singular value of S or T (`name`) in dB; `scaled`: the structured one, free of units."""
     ax = axes_or_new(ax, (3.5, 2.6))
     f, M = loops.frequency_hz, gauge_matrix(name, loops.P, loops.c)
@@ -92,7 +90,7 @@ def singular_values(
 
 
 @styled()
-def disk_margins(loops: LoopMatrix, found: SeveralMargins, required: float | None, *, ax: Axes | None = None) -> Axes:
+def disk_margins(loops: Loop, found: SeveralMargins, required: float | None, *, ax: Axes | None = None) -> Axes:
     """The disk margin that each frequency leaves: all loops at once, and each loop alone with the others closed."""
     ax = axes_or_new(ax, (3.5, 2.6))
     f = loops.frequency_hz
@@ -111,7 +109,7 @@ def disk_margins(loops: LoopMatrix, found: SeveralMargins, required: float | Non
     return ax
 
 
-def _one_at_a_time(loops: LoopMatrix) -> list[Array]:
+def _one_at_a_time(loops: Loop) -> list[Array]:
     """Disk margin (nf,) of each loop with the others closed."""
     controllers = {own.loop: own for own in loops.controllers}
     named = dict(zip(loops.names, loops.controllers, strict=True)) | controllers
@@ -151,7 +149,7 @@ def summary(
 
 @styled()
 def several_page(
-    loops: LoopMatrix, found: SeveralMargins, each: Mapping[str, Margins], required: SeveralRequirements | None = None
+    loops: Loop, found: SeveralMargins, each: Mapping[str, Margins], required: SeveralRequirements | None = None
 ) -> Figure:
     """All loops of one operating point: loci and det(I + L) above, S and T with limits, disk margins below."""
     required = required or SeveralRequirements()
@@ -172,7 +170,7 @@ def several_page(
     return figure
 
 
-def _title(loops: LoopMatrix, found: SeveralMargins) -> str:
+def _title(loops: Loop, found: SeveralMargins) -> str:
     names = ", ".join(symbol(name) for name in loops.names)
     parts = ("Several loops at once", f"{names}: {found.stable}", loops.plant.recording)
     return "  ·  ".join(part for part in parts if part)

@@ -1,7 +1,7 @@
 """What the tests of several loops share: matrix FRFs, plants in state space, and their closed loops' poles."""
 
 import numpy as np
-from bench_nouns import Block, LoopMatrix
+from bench_nouns import Block, Loop
 from conversions import TWO_PI
 from scipy.linalg import block_diag
 
@@ -45,8 +45,7 @@ def noisy(frf, rng):
 
 
 def loops(f, response, controllers, integrators=0, unstable=0, relative=1e-8):
-    names = tuple(c.loop for c in controllers)
-    return LoopMatrix(frf_of(f, response, relative), tuple(controllers), names, integrators, unstable)
+    return Loop(frf_of(f, response, relative), controllers, integrators, unstable)
 
 
 def response_of(f, A, B, C):

@@ -3,7 +3,7 @@
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Precision, step
 from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable, gain_scheduled
-from loopshape.data.control.loop import Loop, LoopMatrix
+from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.baseline import Checked
@@ -35,7 +35,6 @@ __all__ = [
     "Indicators",
     "Integrator",
     "Loop",
-    "LoopMatrix",
     "LoopSetup",
     "Lost",
     "MovedResonance",

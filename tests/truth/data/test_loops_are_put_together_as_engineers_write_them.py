@@ -1,6 +1,7 @@
 """C1 * C2, P * C, P + Q, P.feedback(C) and ls.Loop(P, C): against numpy, python-control and draws of the error."""
 
 import control
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -71,6 +72,50 @@ def test_the_closed_loop_is_that_of_python_control_and_of_draws():
         np.testing.assert_allclose(ours.siso, true, rtol=1e-9)
         np.testing.assert_allclose(std(ours), np.sqrt(np.mean(np.abs(draws - true) ** 2, axis=0)), rtol=0.1)
     np.testing.assert_array_equal(P.feedback(C).S_o.siso, loop.sensitivity.siso)
+
+
+def test_two_loops_are_the_same_noun_by_matrices():
+    G = np.stack([PLANT, 0.3 / S, -0.2 / S, 2.0 * PLANT], axis=1).reshape(-1, 2, 2)
+    both = (ls.controller(ls.gain(2.0), rate_hz=1000.0, loop="x"), LEAD)
+    plant = ls.FRF.from_arrays(F, G, std=0.01, outputs=["x_m", "y_m"], inputs=["u_v", "w_v"])
+    loop, k = ls.Loop(plant, both), np.stack([one.response(F) for one in both], axis=1)
+    K = k[:, :, None] * np.eye(2)
+    So = np.linalg.inv(np.eye(2) + G @ K)
+    Si = np.linalg.inv(np.eye(2) + K @ G)
+    for bare, ours, true in (
+        (loop.L, loop.open_loop, G @ K),
+        (loop.S, loop.sensitivity, So),
+        (loop.T, loop.complementary, G @ K @ So),
+        (loop.PS, loop.process, So @ G),
+        (loop.CS, loop.control, K @ So),
+    ):
+        np.testing.assert_allclose(bare, true, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(ours.response, true, rtol=1e-9, atol=1e-12)
+        assert ours.covariance.shape == (F.size, 4, 4)
+    for bare, true in ((loop.C, K), (loop.L_i, K @ G), (loop.S_i, Si), (loop.T_i, K @ G @ Si)):
+        np.testing.assert_allclose(bare, true, rtol=1e-9, atol=1e-12)
+    with pytest.raises(ls.LoopshapeError, match="one loop's controller was requested of several loops"):
+        _ = loop.controller
+    assert len(ls.plot(loop).axes) >= 4  # S, element by element
+    plt.close("all")
+
+
+def test_one_loop_in_a_list_is_one_loop():
+    one, listed = ls.Loop(P, C), ls.Loop(P, [C])
+    for name in ("C", "L", "S", "T", "CS", "PS"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(listed, name))
+        assert getattr(one, name).shape == F.shape
+    np.testing.assert_allclose(one.S_i[:, 0, 0], one.S, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("controllers", "words"),
+    [((C, C), "a square plant, and a controller for each channel; received 1 x 1, 2 controllers"),
+     ((), "received 1 x 1, 0 controllers")],
+)  # fmt: skip
+def test_as_many_controllers_as_channels(controllers, words):
+    with pytest.raises(ls.LoopshapeError, match=words):
+        ls.Loop(P, controllers)
 
 
 def test_what_does_not_multiply_is_refused_by_python():

@@ -110,7 +110,7 @@ def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
     here = measure(p, x, {})
     mine = [one for one in here.rows if one.what == "error_rms"]
     for loop, room in zip(loops, mine[0].value, strict=True):
-        read = error_rms(replace(loop, controller=p.controller(x)), still).rms
+        read = error_rms(replace(loop, controllers=p.controller(x)), still).rms
         assert 2.0 * np.exp(-room) == pytest.approx(read, rel=2e-3)
     for k in range(x.size):
         *_, room, _ = differences(p, x, k)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_nouns import LoopMatrix
+from bench_nouns import Loop
 from conversions import TWO_PI
 from several_cases import (
     crossing_somewhere,
@@ -70,7 +70,7 @@ def test_from_loops_that_stood_nothing_has_to_be_declared(low):
             for c in held.controllers
         ]
         new = new if rng.random() < 0.5 else crossing_somewhere(rng, f, held.P, other, 300)
-        made = LoopMatrix(held.plant, tuple(new), held.names, None, 0, None, held.controllers)
+        made = Loop(held.plant, new, None, 0, recorded_under=held.controllers)
         count = count_from_held(made)
         unstable = int(np.sum(poles(*plant, new).real > 0.0))
         if not isinstance(count, Obstacle):
@@ -164,7 +164,7 @@ def test_a_declaration_that_the_recorded_loops_contradict_is_not_believed():
     controllers = (gain("a"), gain("b"))
     G = np.array([[1.0, 0.3], [-0.2, 1.0]]) * (3.0 / (S * (0.01 * S + 1.0)))[:, None, None]
     for unstable, outcome in ((0, "stable"), (1, "undecided")):
-        made = LoopMatrix(frf_of(F, G), controllers, ("a", "b"), 2, unstable, None, controllers)
+        made = Loop(frf_of(F, G), controllers, 2, unstable, recorded_under=controllers)
         found = closed_loops_stability(made)
         assert found.outcome == outcome
     assert "one of them is wrong" in found.reason
@@ -174,7 +174,7 @@ def test_what_lies_above_the_judged_lines_is_not_overlooked():
     G = pair_of(F)
     above = np.linspace(310.0, 400.0, 20)
     beyond = frf_of(above, np.tile(5.0 * np.eye(2), (20, 1, 1)) + 0j)
-    made = LoopMatrix(frf_of(F, G), (gain("a"), gain("b")), ("a", "b"), 2, 0, beyond)
+    made = Loop(frf_of(F, G), (gain("a"), gain("b")), 2, 0, beyond=beyond)
     assert "above the band that is known well" in closed_loops_stability(made).reason
 
 
@@ -206,9 +206,7 @@ def test_noise_alone_changes_no_answer():
     G = np.array([[1.0, 0.3], [-0.3, 1.0]]) * (3.0 / (s * (0.02 * s + 1.0)))[:, None, None]
     controllers = (gain("a"), gain("b"))
     found = [
-        closed_loops_stability(
-            LoopMatrix(noisy(frf_of(f, G, 0.05), rng), controllers, ("a", "b"), 2, unstable_poles=0)
-        ).outcome
+        closed_loops_stability(Loop(noisy(frf_of(f, G, 0.05), rng), controllers, 2, unstable_poles=0)).outcome
         for _ in range(60)
     ]
     assert "unstable" not in found

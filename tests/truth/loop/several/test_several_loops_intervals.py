@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_nouns import LoopMatrix
+from bench_nouns import Loop
 from conversions import TWO_PI
 from several_cases import frf_of, gain, loops, noisy
 
@@ -40,9 +40,7 @@ def test_without_covariance_there_are_no_intervals():
 def test_intervals_of_95_percent_cover_and_medians_are_true():
     noise, truth, rng, count = 0.05, exact(), np.random.default_rng(0), 45
     frf = frf_of(F, G, noise)
-    found = [
-        several_margins(LoopMatrix(noisy(frf, rng), CONTROLLERS, ("a", "b"), 2, unstable_poles=0)) for _ in range(count)
-    ]
+    found = [several_margins(Loop(noisy(frf, rng), CONTROLLERS, 2, unstable_poles=0)) for _ in range(count)]
     raw = [
         several_margins(loops(F, noisy(frf, rng).response, CONTROLLERS, 2, relative=0.0)).disk_margin for _ in range(20)
     ]
@@ -75,7 +73,7 @@ def test_intervals_hold_what_lies_between_lines_where_there_is_almost_no_noise()
     for offset in np.arange(8) / 8:
         f, rng = 0.3 + 0.15 * (np.arange(76) + offset), np.random.default_rng(int(8 * offset))
         frf = noisy(frf_of(f, elements(1j * TWO_PI * f), 1e-6), rng)
-        found = several_margins(LoopMatrix(frf, CONTROLLERS, ("a", "b"), 2, unstable_poles=0))
+        found = several_margins(Loop(frf, CONTROLLERS, 2, unstable_poles=0))
         for name, matrix in size.items():
             true = 20.0 * np.log10(np.linalg.norm(matrix, 2, axis=(1, 2)).max())
             if name in found.bounds:  # |T| still rises towards 0.22 Hz, below the first line
@@ -89,7 +87,7 @@ def test_intervals_hold_what_lies_between_lines_where_there_is_almost_no_noise()
 
 def test_the_same_matrix_gives_the_same_interval():
     frf = noisy(frf_of(F, G, 0.05), np.random.default_rng(1))
-    one, two = (several_margins(LoopMatrix(frf, CONTROLLERS, ("a", "b"), 2, unstable_poles=0)) for _ in range(2))
+    one, two = (several_margins(Loop(frf, CONTROLLERS, 2, unstable_poles=0)) for _ in range(2))
     np.testing.assert_equal(vars(one), vars(two))  # what is not asked for is nan
 
 
@@ -111,30 +109,27 @@ def test_draws_have_the_covariance_of_the_lines():
 
 def test_the_determinant_s_variance_is_that_of_draws():
     rng, frf = np.random.default_rng(0), frf_of(F, G, 0.01)
-    made = LoopMatrix(frf, CONTROLLERS, ("a", "b"), 2, unstable_poles=0)
+    made = Loop(frf, CONTROLLERS, 2, unstable_poles=0)
     drawn = [
-        np.log(LoopMatrix(noisy(frf, rng), CONTROLLERS, ("a", "b"), 2, unstable_poles=0).determinant / made.determinant)
+        np.log(Loop(noisy(frf, rng), CONTROLLERS, 2, unstable_poles=0).determinant / made.determinant)
         for _ in range(600)
     ]
     assert np.mean(np.abs(drawn) ** 2, axis=0) == pytest.approx(determinant_variance(made), rel=0.3)
-    other = LoopMatrix(frf, (gain("a", 0.3), gain("b", 0.7)), ("a", "b"), 2, unstable_poles=0)
+    other = Loop(frf, (gain("a", 0.3), gain("b", 0.7)), 2, unstable_poles=0)
     ratio = []
     for _ in range(600):
         one = noisy(frf, rng)
-        D = [
-            LoopMatrix(one, m.controllers, m.names, 2, unstable_poles=0).determinant / m.determinant
-            for m in (other, made)
-        ]
+        D = [Loop(one, m.controllers, 2, unstable_poles=0).determinant / m.determinant for m in (other, made)]
         ratio.append(np.log(D[0] / D[1]))
     assert np.mean(np.abs(ratio) ** 2, axis=0) == pytest.approx(determinant_variance(other, made), rel=0.3)
 
 
 def test_the_noun_s_responses_are_those_of_the_algebra():
-    made = LoopMatrix(frf_of(F, G), CONTROLLERS, ("a", "b"), 2, unstable_poles=0)
+    made = Loop(frf_of(F, G), CONTROLLERS, 2, unstable_poles=0)
     closed = feedback(made.plant, controller_frf(CONTROLLERS, F, made.plant.outputs, made.plant.inputs))
-    for name, other in (("S_o", "S_o"), ("T_o", "T_o"), ("S_i", "S_i"), ("T_i", "T_i"), ("PS", "PS"), ("CS", "KS")):
+    for name, other in (("S", "S_o"), ("T", "T_o"), ("S_i", "S_i"), ("T_i", "T_i"), ("PS", "PS"), ("CS", "KS")):
         np.testing.assert_allclose(getattr(made, name), getattr(closed, other).response, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(made.S_o + made.T_o, np.broadcast_to(np.eye(2), G.shape), atol=1e-12)
+    np.testing.assert_allclose(made.S + made.T, np.broadcast_to(np.eye(2), G.shape), atol=1e-12)
     np.testing.assert_allclose(made.C @ made.P, made.L_i)
-    np.testing.assert_allclose(made.P @ made.C, made.L_o)
-    np.testing.assert_allclose(np.linalg.det(np.eye(2) + made.L_o), made.determinant)
+    np.testing.assert_allclose(made.P @ made.C, made.L)
+    np.testing.assert_allclose(np.linalg.det(np.eye(2) + made.L), made.determinant)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import LoopMatrix
+from bench_nouns import Loop
 from conversions import TWO_PI, db
 
 import loopshape as ls
@@ -211,7 +211,7 @@ def test_one_loop_and_the_same_as_a_matrix_have_the_same_interval():
     P = ls.FRF.from_arrays(f, G, relative_std=0.02, rate_hz=1000.0)
     C = ls.controller(ls.gain(1.0), rate_hz=1000.0)
     (loop,), _ = loops_of([P], C, ls.Requirements(P.loop, integrators=1, unstable_poles=0))
-    one, matrix = margins(loop), several_margins(LoopMatrix(P, (C,), (P.loop,), 1, unstable_poles=0))
+    one, matrix = margins(loop), several_margins(Loop(P, (C,), 1, unstable_poles=0))
     shared = [name for name in FIELDS if name in one.intervals]
     assert len(shared) >= 4
     for name in shared:
