@@ -3,7 +3,7 @@
 Several loops
 =============
 
-Two joints, four muscles, one air supply: the four loops of the simulated 2-DoF arm meet in each other. Each is excited
+Two joints, four muscles, one air supply: the four loops of the simulated 2-DoF arm are coupled. Each is excited
 in a recording of its own while all are closed; together the recordings give the plant's matrix with its covariance.
 """
 

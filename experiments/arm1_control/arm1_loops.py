@@ -111,7 +111,7 @@ def judge_identical(every: Sequence[Found], controller: Controller) -> Judged:
 
 
 def scaled(frf: FRF, factor: float) -> FRF:
-    """A FRF times a real factor."""
+    """An FRF times a real factor."""
     return replace(frf, response=factor * frf.response, covariance=factor**2 * frf.covariance)
 
 

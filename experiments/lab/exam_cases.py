@@ -97,7 +97,7 @@ def magnitude_in(form: EffectForm, rng: np.random.Generator) -> float:
 
 
 def library_run(labels: Mapping[str, float], variant: int, seed: int) -> Run:
-    """A session's signals on the library's own arm with its own form of the effects, ordinary spread and new noise."""
+    """A session's signals on the library's own arm with its own form of the effects, tolerances and new noise."""
     plant, session, rng = diagnosable(PLANT), examiner.make_run({}, seed), np.random.default_rng([seed, 1])
     forms = [(catalogue()[name][variant], m) for name, m in labels.items()]
     phi = [x for f, m in forms for x in (m / f.scale, *(free.starts[0] for free in f.free[1:]))]

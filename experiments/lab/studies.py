@@ -27,7 +27,7 @@ SINGLE = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_TH
 def studies(
     names: Annotated[list[str] | None, typer.Argument(help="Studies to run; none lists them all.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Run all of them.")] = False,
-    jobs: Annotated[int, typer.Option(help="Studies at the same time, each on one core; 0 for one a core.")] = 0,
+    jobs: Annotated[int, typer.Option(help="Studies at the same time, each on one core (0: one per core).")] = 0,
     experiments: Annotated[Path, typer.Option(help="The project's studies.")] = Path("experiments"),
 ) -> None:
     """List the studies under experiments/, or run them: their tables and figures are written anew."""
@@ -37,7 +37,7 @@ def studies(
     if unknown := [name for name in names or () if name not in scripts]:
         raise WrongUseError("there is no such study", ", ".join(unknown), f"one of {', '.join(scripts)}")
     if jobs < 0:
-        raise WrongUseError("the number of studies at the same time is 1 or more, or 0 for one a core", str(jobs))
+        raise WrongUseError("the number of studies at the same time must be 1 or more (0: one per core)", str(jobs))
     if not names and not everything:
         for name, script in scripts.items():
             print(f"{name:28} {question(script.parent)}")

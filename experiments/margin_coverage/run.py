@@ -123,7 +123,7 @@ def frf(case: Case, response: ComplexArray, variance: Array, overlap: float = 1.
 
 
 def read(case: Case, measured: FRF) -> tuple[Margins, Margins]:
-    """Margins of the lines as they are, and freed of their bias with intervals."""
+    """Margins of the lines as they are, and bias-corrected with intervals."""
     controller = Controller("axis", case.blocks, RATE)
     plain = Loop(measured, controller, case.integrators, case.unstable)
     plant, scatter = smoothed(measured)

@@ -76,3 +76,8 @@ def refuse_unknown_keys(what: str, given: Iterable[str], known: Iterable[str]) -
     words = list(known)
     for name in given:
         refuse_unknown(what, name, words, "known are")
+
+
+def an(name: str) -> str:
+    """The name with its article: an FRF, an integrator, a gain."""
+    return f"an {name}" if name[:3] in ("FRF", "FRD", "FMU") or name[:1] in "AEIOaeio" else f"a {name}"

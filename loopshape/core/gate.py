@@ -1,6 +1,6 @@
 """The gate of public functions and nouns: every argument is of a kind that its annotation names.
 
-Annotations say what a function takes; here they are held to it, so that a FRF in a controller's place, a text in a
+Annotations say what a function takes; here they are held to it, so that an FRF in a controller's place, a text in a
 number's or two arguments given the wrong way round end in a sentence and not somewhere inside. Arrays pass: what they
 may hold is asked in `loopshape.data.arrays`. Which words a text may be, and which numbers make sense, each noun says.
 """
@@ -24,7 +24,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, an
 from loopshape.core.toolboxes import found
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -32,6 +32,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 TOO_LARGE = 1e300
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 _PLAIN = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", Path: "a path"}
+_TYPES: dict[type, Any] = {bool: bool | np.bool_, str: str, Path: PathLike}
 
 
 class _Public(dict[str, Any]):
@@ -88,12 +89,8 @@ def fits(value: Any, hint: Any) -> bool:
 
 
 def _fits_plain(value: Any, hint: type) -> bool:
-    if hint is bool:
-        return isinstance(value, bool | np.bool_)
-    if hint is str:
-        return isinstance(value, str)
-    if hint is Path:
-        return isinstance(value, PathLike)
+    if hint in _TYPES:
+        return isinstance(value, _TYPES[hint])
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if hint is int:
         return whole and abs(value) < 2**63
@@ -143,12 +140,12 @@ def described(hint: Any) -> str:
         return "a mapping" if Any in inner else f"a mapping to {described(inner[1])}"
     if origin is not None:
         return (
-            f"a sequence of {described(inner[0]).removeprefix('a ')}"
-            if inner and origin is not Callable
+            f"a sequence of {described(inner[0]).split(' ', 1)[-1]}"
+            if origin is not Callable and inner
             else "a function"
         )
     name = getattr(hint, "__name__", str(hint))
-    return _PLAIN.get(hint, f"a {name}" if name[:1] not in "AEIOU" else f"an {name}")
+    return _PLAIN.get(hint, an(name))
 
 
 def received(value: Any) -> str:
@@ -222,11 +219,7 @@ def pass_fields(noun: Any, *names: str) -> None:
         if names and field not in names:
             continue
         if not fits(value, hint):
-            raise WrongUseError(f"{field} of {_article(cls.__name__)} must be {described(hint)}", received(value))
-
-
-def _article(name: str) -> str:
-    return f"an {name}" if name[:1] in "AEIO" else f"a {name}"
+            raise WrongUseError(f"{field} of {an(cls.__name__)} must be {described(hint)}", received(value))
 
 
 def _pass(whose: str, given: Mapping[str, Any], hints: Mapping[str, Any], signature: inspect.Signature) -> None:
@@ -254,5 +247,5 @@ def _pass(whose: str, given: Mapping[str, Any], hints: Mapping[str, Any], signat
 
 def _cure(value: Any) -> str:
     if hasattr(value, "frequency_response") or (hasattr(value, "frdata") and hasattr(value, "omega")):
-        return "make a FRF of a python-control system: ls.FRF.from_control(system, frequency_hz)"
+        return "make an FRF of a python-control system: ls.FRF.from_control(system, frequency_hz)"
     return ""

@@ -42,7 +42,7 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -
         raise WrongUseError(
             f"error_rms of loop {requirements.loop!r} needs what disturbs the loop",
             "no disturbance",
-            "give a run of the closed loop that nothing excites (--disturbance RUN, disturbance=...)",
+            "give a recording of the closed loop without excitation (--disturbance RUN, disturbance=...)",
         )
     weighted = requirements.weighted_norm is not None or requirements.objective.weighted_norm > 0.0
     if not weighted and all(getattr(requirements, name) is None for name in NEAR):

@@ -51,7 +51,7 @@ class Binding:
 
 @dataclass(frozen=True, eq=False)
 class Tuning(Plain):
-    """A tuned controller with its verdict, what binds, and how the search went.
+    """A tuned controller with its verdict, active constraints, and how the search went.
 
     `outcome` is the verdict's: "passed", "undecided" where the requirements hold by the estimates but not by their
     95 % intervals, "failed". Where no start came to meet every requirement `feasible` is False, the controller is the

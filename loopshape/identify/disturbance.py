@@ -1,4 +1,4 @@
-"""Recording of a loop that nothing excites -> the spectrum of its error."""
+"""Recording of a loop without excitation -> the spectrum of its error."""
 
 from __future__ import annotations
 

@@ -47,7 +47,7 @@ def fit(
     """Fit a structure to the valid lines of a 1 x 1 FRF, or to those in `band_hz`.
 
     With `stable` the poles of a rational structure, those at zero apart, lie in the left half plane. None asks for it
-    of a FRF that was recorded in open loop, where an unstable plant would not have stayed within its range.
+    of an FRF that was recorded in open loop, where an unstable plant would not have stayed within its range.
 
     `variance` weights each line by its own variance: parameters of least spread if the structure is right.
     `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the

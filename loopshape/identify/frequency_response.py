@@ -27,7 +27,7 @@ from loopshape.identify.spectra.welch import by_welch
 def excited_recordings(run: Run) -> list[Recording]:
     """The estimation recordings that excite a loop, in order; refuses a run without any.
 
-    Validation recordings are held out: nothing downstream of a FRF may have seen them.
+    Validation recordings are held out: nothing downstream of an FRF may have seen them.
     """
     found = [r for r in run.recordings if r.info.excites is not None and r.info.role == "estimation"]
     if not found:

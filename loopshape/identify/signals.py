@@ -102,18 +102,18 @@ def refuse_sum(recording: Recording, loop: LoopSetup) -> None:
 
 def sum_was_logged(u: Array, n: Array, y: Array) -> bool:
     """Whether u (n,) is a controller's output plus the injected n, not the output itself, by which of both the measured
-    y of the same sample and a short past of itself and of y foretell far better.
+    y of the same sample and a short past of itself and of y predict far better.
 
     Not told (False) where noise that the controller never saw, or its nonlinearity, outweighs what is new in n.
     """
     if u.size < 20 * SUM_PAST or not n.any():
         return False
-    alone, without = (_not_foretold(x, y) for x in (u, u - n))
+    alone, without = (_innovation_power(x, y) for x in (u, u - n))
     return alone > max(CLEARLY * without, SUM_ROUNDING * float(np.var(u)))
 
 
-def _not_foretold(x: Array, y: Array) -> float:
-    """Mean square of what the same sample of y (n,) and the past of x and y leave of x (n,)."""
+def _innovation_power(x: Array, y: Array) -> float:
+    """Mean square of what the same sample of y (n,) and the past of x and y do not predict of x (n,)."""
     size = x.size - SUM_PAST
     past = [x[SUM_PAST - k :][:size] for k in range(1, SUM_PAST + 1)] + [
         y[SUM_PAST - k :][:size] for k in range(SUM_PAST + 1)

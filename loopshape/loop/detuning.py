@@ -1,8 +1,8 @@
 """Loop, margins and requirements -> detuning margin: how far resonances may move before something breaks.
 
 Shifts are searched outward from zero, and where something breaks by bisection: what lies between 0 and the margin
-holds at every shift that was looked at, not at its ends alone. Readings at a shift are freed of the bias that noise
-gives those of the unmoved loop.
+holds at every shift that was looked at, not at its ends alone. Readings at a shift are bias-corrected, as
+those of the nominal loop are.
 """
 
 from __future__ import annotations

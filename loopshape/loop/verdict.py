@@ -90,7 +90,7 @@ def loops_of(
 
 
 def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str]:
-    """The lines that are not exactly zero, and a note of those left out; refuses a FRF that has no other."""
+    """The lines that are not exactly zero, and a note of those left out; refuses an FRF that has no other."""
     lines = frf.between(*band) if band else frf.valid_lines()
     if not lines.siso.any():
         raise WrongUseError(
@@ -397,7 +397,7 @@ def verdict_from(
 
 
 def points_of(frfs: Sequence[FRF]) -> list[str]:
-    """Names of operating points, one a FRF; refuses two of one recording."""
+    """Names of operating points, one an FRF; refuses two of one recording."""
     names = [frf.recording or f"frf {k + 1}" for k, frf in enumerate(frfs)]
     if len(set(names)) != len(names):
         raise WrongUseError("two FRFs of one loop come from the same recording", ", ".join(names))

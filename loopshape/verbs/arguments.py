@@ -1,4 +1,4 @@
-"""What verbs take: a plant as a FRF, several or a diagram; a controller, or the tuning that holds it."""
+"""What verbs take: a plant as an FRF, several or a diagram; a controller, or the tuning that holds it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def plants_of(P: Plants) -> tuple[FRF, ...]:
     plants = (P,) if isinstance(P, FRF) else tuple(P)
     if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:
         raise WrongUseError(
-            "a plant is a FRF, or a sequence of them",
+            "a plant is an FRF, or a sequence of them",
             ", ".join(wrong),
             "make one with ls.FRF.from_arrays or from_control",
         )

@@ -1,6 +1,6 @@
 """What a script does: read or make a run, estimate its FRFs, fit, tune, check. Each verb takes nouns and gives one.
 
-A plant is a FRF, several where one controller serves several operating points, or a diagram, whose tuned block meets
+A plant is an FRF, several where one controller serves several operating points, or a diagram, whose tuned block meets
 the plant that `ls.diagrams.equivalent` finds; python-control's systems with data
 (`control.frd`) are taken where their error is stated first: `ls.FRF.from_control`.
 """
@@ -91,7 +91,7 @@ def fit(
     band_hz: tuple[float, float] | None = None,
     **orders: Any,
 ) -> Fit:
-    """A low-order model of a FRF, with intervals and a test of what it leaves.
+    """A low-order model of an FRF, with intervals and a test of what it leaves.
 
     `structure` is "auto", "third_order", "integrator" (each with "_delay" too) or "rational" with `numerator`,
     `denominator`, `integrators` and `delay`. With `stable` rational structures have
@@ -151,7 +151,7 @@ def tune(
     disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
     watch: Watch | None = None,
 ) -> Tuning | SeveralTuning:
-    """One controller of a structure for all plants: the highest lowest bandwidth within all requirements.
+    """One controller of a structure for all plants: the largest worst-case bandwidth subject to all requirements.
 
     `structure` (default: that of `R`) is a sequence of blocks, `[ls.gain(), ls.lead_lag(), ls.notch()]`; what they
     leave open is tuned. `ls.check` and `ls.plot` take the result as the controller, `.controller` is it. Where the
@@ -330,7 +330,7 @@ def shape(
     With None for `out` it is a widget instead, for the cell of a notebook (extra `notebook`): its `controller` and
     `requirements` follow the page and the page follows them.
 
-    `P` is a FRF, several, or a mapping from names of operating points to FRFs. Shaping starts from `C` (default: a gain
+    `P`: an FRF, several, or a mapping from operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
     `fits` it draws the step of each fit's loop. Several controllers (and requirements) are of the loops of a matrix
     FRF: each is shaped on the plant that it meets with the others closed; `together` declares that plant's poles.
@@ -406,14 +406,14 @@ def compare(
 
     listed = (predictions,) if isinstance(predictions, FRF) else tuple(predictions)
     plants = [x for x in listed if isinstance(x, FRF)]
-    foretold = [x for x in listed if isinstance(x, Prediction)]
-    if len(foretold if isinstance(run, Run | str | Path) else plants) < len(listed):
+    predictions = [x for x in listed if isinstance(x, Prediction)]
+    if len(predictions if isinstance(run, Run | str | Path) else plants) < len(listed):
         raise WrongUseError(
             "a run is compared with predictions, FRFs with FRFs", "both kinds", "make predictions by ls.predict"
         )
     if not isinstance(run, Run | str | Path):
         return compare_all(plants_of(run), plants, tolerance_db=tolerance_db)
     return remeasure(
-        run if isinstance(run, Run) else read(run), foretold, frfs=frfs,
+        run if isinstance(run, Run) else read(run), predictions, frfs=frfs,
         settings=Settings(resolution_hz=resolution_hz), tolerance_db=tolerance_db,
     )  # fmt: skip

@@ -39,10 +39,10 @@ def estimate(
     ("reference", "direct", in open loop "h1", "h2", "hv"), method, resolution_hz, window, overlap, detrend,
     segment_samples.
 
-    `warnings` tell faults of the recordings, loops that recordings ended early left without a FRF, and tones that
+    `warnings` tell faults of the recordings, loops that recordings ended early left without an FRF, and tones that
     grow; `remarks` distortion and how the response depends on the excitation's level. Where nobody watches each
     warning is Python's too. Raises WrongUseError for a loop without recording, BadSignalError where no recording
-    gives a FRF.
+    gives an FRF.
 
     Examples
     --------
@@ -77,7 +77,7 @@ def estimate(
                 raise
             warnings.append(f"no matrix of the plant: {error}")
     if not frfs and not matrices and (alone if matrix is False else recordings):
-        raise BadSignalError("no recording of the run gives a FRF", "; ".join(warnings), "excite less, or elsewhere")
+        raise BadSignalError("no recording of the run gives an FRF", "; ".join(warnings), "excite less, or elsewhere")
     looked = [*_distortion(whole, alone), *_of_toolboxes(whole, recordings, frfs)]
     warnings += [one.sentence for one in looked if one.warning]
     if alone_here:
@@ -131,7 +131,7 @@ def _of_toolboxes(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]
 
 
 def _renewed(earlier: Path, new: Sequence[FRF]) -> list[FRF]:
-    """The earlier run's FRFs, each renewed by the one of its loop and point; a FRF of a new point stays as it is."""
+    """The earlier run's FRFs, each renewed by the one of its loop and point; an FRF of a new point stays as it is."""
     from loopshape.io.write.frfs import read_frfs
 
     made: list[FRF] = []

@@ -117,7 +117,7 @@ def write(
 ) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
 
-    A run becomes a folder, a controller (a schedule, what `tune` found) a controller file, a FRF a file of the kind
+    A run becomes a folder, a controller (a schedule, what `tune` found) a controller file, an FRF a file of the kind
     that the ending names (.csv, .mat, .uff). A sequence of controllers, one a loop, or of predictions is one file, too.
     Raises WrongUseError for another ending and for other things.
     """
@@ -136,7 +136,7 @@ def _write(what: Any, path: Path) -> None:
     if place := found().all("writers").get(type(what).__name__):
         function_at(place)(path, what)
         return
-    known = "a Run, a Controller, a GainScheduled, a Tuning or a FRF"
+    known = "a Run, a Controller, a GainScheduled, a Tuning or an FRF"
     raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
 
 

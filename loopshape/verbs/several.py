@@ -59,12 +59,12 @@ def interaction(
     limit_db: float = -20.0,
     bands: Sequence[tuple[float, float]] | None = None,
 ) -> Interaction:
-    """How much the loops of a matrix FRF meet in each other, frequency by frequency, with 95 % bounds.
+    """Coupling between the loops of a matrix FRF, frequency by frequency, with 95 % bounds.
 
     Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
     loop meets with the others closed, by `controllers` where those are known, by loop. `outputs` are the loops' rows
     where names do not tell. Each of the `bands` in Hz (octaves by default) is judged against `limit_db`. Raises
-    WrongUseError for a FRF of a single loop.
+    WrongUseError for an FRF of a single loop.
     """
     from loopshape.identify.matrix.interaction import interaction as interaction_of
 

@@ -38,7 +38,7 @@ def shaped(
 def _gain_of_one(frf: FRF) -> Controller:
     if frf.rate_hz <= 0.0:
         raise WrongUseError(
-            "a controller's rate is not known", "a FRF without a rate", "give a controller, or the FRF's rate_hz"
+            "a controller's rate is not known", "an FRF without a rate", "give a controller, or the FRF's rate_hz"
         )
     return Controller(frf.loop, (Block("gain", {"gain": 1.0}),), frf.rate_hz)
 
@@ -111,7 +111,7 @@ def several_run(run: Path, require: Path | None, controller: Path | None) -> tup
 
 
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[ShapingSession]:
-    """Loops of a requirements file, else those of a controller file, else all that have a FRF."""
+    """Loops of a requirements file, else those of a controller file, else all that have an FRF."""
     from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_frfs
@@ -125,7 +125,7 @@ def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[
     names = [name for name in asked if name in measured]
     if not names:
         raise WrongUseError(
-            "no loop has a FRF",
+            "no loop has an FRF",
             f"loops {', '.join(asked)}; FRFs of {', '.join(measured) or 'none'}",
             "give files of this run's loops",
         )

@@ -26,7 +26,7 @@ from loopshape.view.style import COLOURS, MARKERS, MARKS, QUIET, shades, styled
 
 
 class Placed(Protocol):
-    """Anything measured at an operating point in a recording: a FRF, a fit."""
+    """Anything measured at an operating point in a recording: an FRF, a fit."""
 
     @property
     def recording(self) -> str:

@@ -43,7 +43,7 @@ def plant(f: np.ndarray, gain: float) -> np.ndarray:
 
 
 def frf(name: str, gain: float, where_m: float, lines: int = 240) -> ls.FRF:
-    """A FRF of the known plant, which is stable, 2 % noise, the last lines not valid."""
+    """An FRF of the known plant, which is stable, 2 % noise, the last lines not valid."""
     rng = np.random.default_rng(round(1000 * gain))
     f = np.linspace(0.25, 60.0, lines)
     truth = plant(f, gain)

@@ -211,7 +211,7 @@ def test_a_band_without_lines_is_refused_with_the_lines_there_are():
 
 def test_one_response_of_a_matrix_is_refused():
     text = refusal(ls.errors.WrongUseError, lambda: some_frf(ny=2).siso)
-    assert "one loop's response was requested from a FRF with several" in text
+    assert "one loop's response was requested from an FRF with several" in text
     assert "(2, 1)" in text
 
 

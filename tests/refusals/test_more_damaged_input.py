@@ -72,9 +72,9 @@ def test_a_free_parameter_beyond_what_can_be_computed(table):
         ({"variance_freedom": float("nan")}, "degrees of freedom"),
         ({"variance_freedom": 0.0}, "degrees of freedom"),
         ({"variance_pooled": 0}, "pooled over at least 1"),
-        ({"rate_hz": float("nan")}, "rate of a FRF"),
-        ({"rate_hz": -1.0}, "rate of a FRF"),
-        ({"operating_point": {"x_m": float("nan")}}, "x_m of a FRF's operating point"),
+        ({"rate_hz": float("nan")}, "rate of an FRF"),
+        ({"rate_hz": -1.0}, "rate of an FRF"),
+        ({"operating_point": {"x_m": float("nan")}}, "x_m of an FRF's operating point"),
     ],
 )
 def test_words_of_a_frf_that_make_no_sense(changes, sentence):
@@ -84,7 +84,7 @@ def test_words_of_a_frf_that_make_no_sense(changes, sentence):
 
 @pytest.mark.parametrize("kind", [int, float])
 def test_a_real_response_is_refused_for_it_may_be_a_magnitude(kind):
-    with pytest.raises(ls.errors.WrongUseError, match=r"response of a FRF must be complex.*write H \+ 0j"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"response of an FRF must be complex.*write H \+ 0j"):
         frf_of(response=np.ones((200, 1, 1), dtype=kind))
 
 

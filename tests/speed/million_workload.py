@@ -59,7 +59,7 @@ def table() -> list[tuple[str, float, str]]:
     with tempfile.TemporaryDirectory() as name:
         run, controller, require = written(Path(name))
         reading, megabytes = spent(["-c", READING, run])
-        lines = [("reading a FRF of a million frequencies", reading, f"s of one core, {megabytes:.0f} MB")]
+        lines = [("reading an FRF of a million frequencies", reading, f"s of one core, {megabytes:.0f} MB")]
         given = ["--controller", controller, "--require", require]
         for what, words in (
             ("  check, without figures", ["check", run, controller, "--require", require, "--no-figures"]),

@@ -336,7 +336,7 @@ def long_recording() -> None:
 
 
 def million() -> None:
-    """A FRF of a million frequencies, checked, drawn and reported."""
+    """An FRF of a million frequencies, checked, drawn and reported."""
     from million_workload import table
 
     for one in table():

@@ -28,7 +28,7 @@ def make_run(
 ) -> Run:
     """The run of an arm with the effects `labels` (name -> magnitude in GAP.md's unit; {} is a healthy arm).
 
-    The seed draws ordinary spread, signals, noise and what came before each recording; `variant` picks among an
+    The seed draws manufacturing tolerance, signals, noise and what came before each recording; `variant` picks among an
     effect's forms. Without `noise` converters stay; without `ordinary` the arm is the nominal one. Refuses an effect
     it does not have; raises where the arm leaves its range.
     """

@@ -38,7 +38,7 @@ def tune(
     starts: Annotated[
         int, typer.Option(min=1, help="Number of random restarts; 1 with --start: that start alone.")
     ] = 16,
-    grow: Annotated[int, typer.Option(min=0, help="Add up to so many blocks, each the one that pays most.")] = 0,
+    grow: Annotated[int, typer.Option(min=0, help="Add up to this many blocks, each the one of the largest gain.")] = 0,
     least_gain: Annotated[
         float, typer.Option(min=0.0, help="Minimum relative gain in bandwidth per added block.")
     ] = 0.01,
@@ -97,7 +97,7 @@ def _row(turn: Turn) -> list[Any]:
 
 
 def report_tuning(tuning: Tuning, output: Output) -> None:
-    """Blocks, what binds, what keeps requirements apart, and the verdict."""
+    """Blocks, active constraints, conflicting requirements, and the verdict."""
     rows = [
         [block.kind, ", ".join(f"{name} {value:.4g}" for name, value in block.parameters.items())]
         for block in tuning.controller.blocks

@@ -27,9 +27,9 @@ def check(
     junit: Annotated[Path | None, typer.Option(help="Write a JUnit XML report too.")] = None,
     markdown: Annotated[Path | None, typer.Option(help="Write a Markdown summary too.")] = None,
     save_verdict: Annotated[Path | None, typer.Option(help="Keep the verdict (JSON), a baseline for later.")] = None,
-    baseline: Annotated[Path | None, typer.Option(help="A kept verdict: say what got better or worse.")] = None,
+    baseline: Annotated[Path | None, typer.Option(help="A kept verdict: report what got better or worse.")] = None,
     allow_worse: Annotated[
-        bool, typer.Option("--allow-worse", help="Say what got worse, and exit by the requirements alone.")
+        bool, typer.Option("--allow-worse", help="Report what got worse; the exit code follows the requirements alone.")
     ] = False,
     matrix: Annotated[
         bool, typer.Option("--matrix", help="All loops of the plant's matrix at once; needs frf RUN --matrix before.")

@@ -7,7 +7,7 @@ Covariances go through to first order: d of vec(A B) is (B^T x I) d vec(A) + (I 
 -(A^-T x A^-1) d vec(A), and the same rule gives feedback and closures (Magnus and Neudecker, Matrix Differential
 Calculus, chapter 9). They mislead where an error is not small beside what is inverted, and **operands are taken as
 independent**. What uses one measurement twice (P P^-1, S + T) is not: `feedback` and the closures take each operand
-once and treat its error right. A FRF with errors that meets itself is refused, one that meets another made of the same
+once and treat its error right. An FRF with errors that meets itself is refused, one that meets another made of the same
 recording gets a note.
 
 Channels are connected by name and reordered where only their order differs; names that differ are refused unless

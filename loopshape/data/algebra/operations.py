@@ -50,14 +50,14 @@ def inverse(A: FRF) -> FRF:
     """
     if len(A.inputs) != len(A.outputs):
         raise WrongUseError("only a square FRF has an inverse", f"{len(A.outputs)} x {len(A.inputs)}", "pick channels")
-    made = invert(A.response, A.frequency_hz, "a FRF")
+    made = invert(A.response, A.frequency_hz, "an FRF")
     return result("inverse", made, A.inputs, A.outputs, [Term(A, -made, made)])
 
 
 def channels(frf: FRF, outputs: Sequence[str] | None = None, inputs: Sequence[str] | None = None) -> FRF:
     """The outputs and inputs named, in that order (None: all); coherences of other channels are left out."""
-    rows = channel_order(frf.outputs, outputs, "part", "the outputs of a FRF") if outputs else range(len(frf.outputs))
-    columns = channel_order(frf.inputs, inputs, "part", "the inputs of a FRF") if inputs else range(len(frf.inputs))
+    rows = channel_order(frf.outputs, outputs, "part", "the outputs of an FRF") if outputs else range(len(frf.outputs))
+    columns = channel_order(frf.inputs, inputs, "part", "the inputs of an FRF") if inputs else range(len(frf.inputs))
     return pick(frf, rows, columns)
 
 
@@ -68,7 +68,7 @@ def negated(A: FRF) -> FRF:
 
 
 def series(A: Any, B: Any) -> FRF:
-    """A B: one of them a FRF, the other a FRF, a controller as it runs, or a number; of one channel, names may differ.
+    """A B: one of them an FRF, the other an FRF, a controller as it runs, or a number; names of one channel may differ.
 
     Gives NotImplemented for anything else, as the operators of Python want it.
     """
@@ -111,7 +111,7 @@ def without_controller(L: FRF, controller: Controller) -> FRF:
     )  # fmt: skip
 
 
-#: what may stand where a controller is asked for: a FRF, or controllers, each on its own channel
+#: what may stand where a controller is asked for: an FRF, or controllers, each on its own channel
 Feedback = FRF | Controller | Sequence[Controller]
 
 
@@ -183,7 +183,7 @@ def _closure(word: str, M: FRF, given: Feedback, connect: str, *, last: bool) ->
         if connect != "order" or not 0 < count < min(len(M.inputs), len(M.outputs)):
             raise WrongUseError(
                 f"bare controllers have no channels for a {word}", f"{count} controllers, connect={connect!r}",
-                'make them a FRF with controller_frf, or say connect="order" with fewer than M has channels',
+                'make them an FRF with controller_frf, or say connect="order" with fewer than M has channels',
             )  # fmt: skip
         ends = slice(-count, None) if last else slice(None, count)
         K = _as_frf(given, M.frequency_hz, M.outputs[ends], M.inputs[ends])
@@ -219,7 +219,7 @@ def controller_frf(
     f, rates = np.asarray(frequency_hz, dtype=float), sorted({one.rate_hz for one in every})
     if not every or not len(every) == len(inputs) == len(outputs) or len(rates) > 1:
         raise WrongUseError(
-            "controllers of one rate make a FRF, each from one input to one output",
+            "controllers of one rate make an FRF, each from one input to one output",
             f"{len(every)} controllers at {rates} Hz, {len(inputs)} inputs, {len(outputs)} outputs",
         )
     response = np.zeros((f.size, len(every), len(every)), dtype=complex)

@@ -38,7 +38,7 @@ def invert(M: ComplexArray, f: Array, what: str) -> ComplexArray:
 
 
 def eye(frf: FRF, axis: int) -> ComplexArray:
-    """Identity (nf, n, n) as large as a FRF's outputs (1) or inputs (2)."""
+    """Identity (nf, n, n) as large as an FRF's outputs (1) or inputs (2)."""
     nf, n = frf.response.shape[0], frf.response.shape[axis]
     return np.broadcast_to(np.eye(n, dtype=complex), (nf, n, n))
 
@@ -82,7 +82,7 @@ def channel_order(have: Sequence[str], want: Sequence[str], connect: str, what: 
 
 
 def check_operands(frfs: Sequence[FRF], independent: bool) -> None:
-    """Refuse other lines, other rates, and a FRF with errors that meets itself."""
+    """Refuse other lines, other rates, and an FRF with errors that meets itself."""
     for one, two in combinations(frfs, 2):
         f, g = one.frequency_hz, two.frequency_hz
         n = min(f.size, g.size)
@@ -124,7 +124,7 @@ def _covariance(terms: Sequence[Term], name: str) -> ComplexArray:
 def result(
     word: str, response: ComplexArray, outputs: Sequence[str], inputs: Sequence[str], terms: Sequence[Term]
 ) -> FRF:
-    """A FRF from its parts: valid where all are, with as much freedom as the least known part has."""
+    """An FRF from its parts: valid where all are, with as much freedom as the least known part has."""
     frfs = [term.frf for term in terms]
     unsure = [frf for frf in frfs if frf.covariance.any()] or frfs
     noisy = all(frf.noise_covariance is not None for frf in unsure)

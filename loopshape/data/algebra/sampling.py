@@ -20,14 +20,14 @@ def with_hold(frf: FRF, rate_hz: float, delay_s: float = 0.0, *, continuous: boo
     """A plant measured as continuous, as a controller at `rate_hz` meets it: times hold and computation delay, once.
 
     The hold is sinc(f/rate) exp(-j pi f/rate). What the sampler folds down from above half the rate is neglected:
-    about |P(rate - f)/P(f)| f/(rate - f). Refuses a FRF that went through here before, lines at or above half the rate,
-    and a FRF recorded at that very rate, which from logged z contains the hold, unless stated to be `continuous`.
+    about |P(rate - f)/P(f)| f/(rate - f). Refuses an FRF that was sampled before, lines at or above half the rate,
+    and an FRF recorded at that very rate, which from logged z contains the hold, unless stated to be `continuous`.
     """
     if frf.hold is Hold.INCLUDED:
         raise WrongUseError("this FRF holds the hold and the delay already", frf.method, "multiply them in once")
     if frf.rate_hz == rate_hz and not continuous:
         raise WrongUseError(
-            "a FRF recorded at the controller's own rate contains the hold, if it goes from the logged z",
+            "an FRF recorded at the controller's own rate contains the hold, if it goes from the logged z",
             f"{rate_hz:g} Hz", "leave it as it is, or say continuous=True if its input was measured behind the hold",
         )  # fmt: skip
     f = frf.frequency_hz
@@ -58,7 +58,7 @@ def regrid(frf: FRF, frequency_hz: ArrayLike) -> FRF:
     new, old = np.asarray(frequency_hz, dtype=float), frf.frequency_hz
     if new.ndim != 1 or not new.size or not (old[0] <= new.min() and new.max() <= old[-1]):
         raise WrongUseError(
-            "a FRF is interpolated between its frequencies, never extrapolated",
+            "an FRF is interpolated between its frequencies, never extrapolated",
             f"{new.min():g} to {new.max():g} Hz" if new.size else "no line",
             f"stay within {old[0]:g} to {old[-1]:g} Hz",
         )

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError, meant, refuse_unknown
+from loopshape.core.errors import WrongUseError, an, meant, refuse_unknown
 from loopshape.core.kernels.loops.flat_loops import series
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 
@@ -222,7 +222,7 @@ class Block:
         wanted = BLOCK_KINDS[self.kind].parameters
         if set(self.parameters) != set(wanted):
             raise WrongUseError(
-                f"a {self.kind} block has the parameters {', '.join(wanted)}",
+                f"{an(self.kind)} block has the parameters {', '.join(wanted)}",
                 ", ".join(sorted(self.parameters)) or "none",
                 "name each once and no other",
             )
@@ -310,16 +310,16 @@ def refuse_too_large(kind: str, name: str, value: float) -> None:
     if abs(value) > largest:
         received = repr(value) if isinstance(value, float) else "a longer whole number"
         raise WrongUseError(
-            f"{name} of a {kind} block must not exceed {largest:g}{unit} in magnitude", received, "check its unit"
+            f"{name} of {an(kind)} block must not exceed {largest:g}{unit} in magnitude", received, "check its unit"
         )
 
 
 def _finite(kind: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < np.inf:
-        raise WrongUseError(f"{name} of a {kind} block must be a finite number", f"{value!r}", "write a plain number")
+        raise WrongUseError(f"{name} of {an(kind)} block must be a finite number", f"{value!r}", "write a plain number")
     refuse_too_large(kind, name, value)
     if name not in BLOCK_KINDS[kind].signed and not (value > 0.0 or (name == "damping1" and value == 0.0)):
-        raise WrongUseError(f"{name} of a {kind} block must be positive", f"{value!r}", "give a positive number")
+        raise WrongUseError(f"{name} of {an(kind)} block must be positive", f"{value!r}", "give a positive number")
     return float(value)
 
 
@@ -352,12 +352,12 @@ class BlockTemplate:
         given = {k: v for k, v in table.items() if k not in ("kind", "order")}
         if set(given) != set(names):
             raise WrongUseError(
-                f"a {kind} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
+                f"{an(kind)} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
             )
         tie = {k: v for k, v in given.items() if isinstance(v, str)}
         for name, target in tie.items():
             if target not in names or target == name or target in tie:
-                raise WrongUseError(f"{name} of a {kind} block is tied to nothing", f"{target!r}")
+                raise WrongUseError(f"{name} of {an(kind)} block is tied to nothing", f"{target!r}")
         return cls(kind, {k: _free_or_fixed(kind, k, v) for k, v in given.items() if k not in tie}, tie)
 
     def block(self, values: Mapping[str, float]) -> Block:
@@ -375,11 +375,11 @@ def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
         return float(value)
     if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
         raise WrongUseError(
-            f"{name} of a {kind} block is a number or a table with min, max and perhaps start",
+            f"{name} of {an(kind)} block is a number or a table with min, max and perhaps start",
             f"{dict(value)!r}",
         )
     low, high, start = float(value["min"]), float(value["max"]), value.get("start")
     if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
-        raise WrongUseError(f"{name} of a {kind} block needs 0 < min < max, and start between them", f"{dict(value)!r}")
+        raise WrongUseError(f"{name} of {an(kind)} block needs 0 < min < max, start between them", f"{dict(value)!r}")
     refuse_too_large(kind, name, high)
     return Free(low, high, None if start is None else float(start))

@@ -125,7 +125,7 @@ class Controller:
     and `response` is theirs. `prewarp_hz` is the frequency at which Tustin's rule is exact.
 
     `computation_delay_s` is from sampling to when the output takes effect, and `added_hold` adds the zero-order hold:
-    each only as far as the measured plant does not contain it. A FRF from the logged z to the sampled y contains the
+    each only as far as the measured plant does not contain it. An FRF from the logged z to the sampled y contains the
     hold, and the delay of the controller under which it was recorded; there `added_hold` would count the hold twice,
     and only what the new controller takes longer is a delay. Both belong to a plant measured as continuous (drive
     voltage to sensor). With `added_hold` |C| and |CS| are those of the held signal: up to 3.9 dB below z at half the
@@ -163,7 +163,7 @@ class Controller:
         return f"Controller{f' {self.loop}' if self.loop else ''}: {kinds} at {self.rate_hz:g} Hz"
 
     def __mul__(self, other: Controller) -> Controller:
-        """Both in series, as one controller; times a FRF, the FRF of the open loop. Refuses two that run otherwise.
+        """Both in series, as one controller; times an FRF, the FRF of the open loop. Refuses two that run otherwise.
 
         >>> import loopshape as ls
         >>> ls.controller(ls.gain(2.0), rate_hz=1000.0) * ls.controller(ls.pi(0.5), rate_hz=1000.0)

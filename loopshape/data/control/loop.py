@@ -207,28 +207,28 @@ class Loop:
 
     @property
     def open_loop(self) -> FRF:
-        """L = P C as a FRF with its covariance."""
+        """L = P C as an FRF with its covariance."""
         C = controller_frf(self.controllers, self.frequency_hz, self.plant.outputs, self.plant.inputs)
         return product(self.plant, C, connect="order")
 
     @property
     def sensitivity(self) -> FRF:
-        """S = (I + P C)^-1 as a FRF with its covariance."""
+        """S = (I + P C)^-1 as an FRF with its covariance."""
         return self._closed.S_o
 
     @property
     def complementary(self) -> FRF:
-        """T = P C S as a FRF with its covariance."""
+        """T = P C S as an FRF with its covariance."""
         return self._closed.T_o
 
     @property
     def process(self) -> FRF:
-        """P S as a FRF with its covariance."""
+        """P S as an FRF with its covariance."""
         return self._closed.PS
 
     @property
     def control(self) -> FRF:
-        """C S as a FRF with its covariance."""
+        """C S as an FRF with its covariance."""
         return self._closed.KS
 
     @cached_property

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
+from loopshape.core.errors import WrongUseError, an
 from loopshape.core.units import TWO_PI, from_db
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Controller
@@ -35,7 +35,7 @@ def _block(kind: str, tie: dict[str, str] | None = None, **parameters: Parameter
             made[name] = OPEN
         elif isinstance(value, tuple | list):
             if len(value) != 2 or not 0.0 < value[0] < value[1] < np.inf:
-                raise WrongUseError(f"bounds of {name} of a {kind} block are (low, high), 0 < low < high", f"{value!r}")
+                raise WrongUseError(f"bounds of {name} of {an(kind)} block need 0 < low < high", repr(value))
             made[name] = Free(float(value[0]), float(value[1]))
         else:
             made[name] = float(value)
@@ -207,7 +207,7 @@ def controller(
     """
     for one in blocks:
         if free := [name for name, value in one.parameters.items() if isinstance(value, Free)]:
-            raise WrongUseError(f"a {one.kind} block of a controller needs numbers", ", ".join(free), "or use tune")
+            raise WrongUseError(f"{an(one.kind)} block of a controller needs numbers", ", ".join(free), "or use tune")
     made: tuple[Block, ...] = tuple(one.block({}) for one in blocks)
     return Controller(
         loop, made, rate_hz, prewarp_hz=prewarp_hz, computation_delay_s=computation_delay_s, added_hold=added_hold,

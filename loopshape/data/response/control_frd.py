@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
 
 def to_control(frf: FRF | Controller) -> control.FrequencyResponseData | control.StateSpace:
-    """A FRF as an FRD: (outputs, inputs, frequencies), rad/s, named channels; a controller as a discrete system.
+    """An FRF as an FRD: (outputs, inputs, frequencies), rad/s, named channels; a controller as a discrete system.
 
-    The timebase is 1/rate_hz, as hold and sampling are in a FRF that was recorded at a rate; unspecified without one.
+    The timebase is 1/rate_hz, as hold and sampling are in an FRF that was recorded at a rate; unspecified without one.
     Covariance and coherence stay here. A controller becomes its sections as they run, behind whole samples of delay;
     raises WrongUseError for a delay of parts of a sample and for an added hold, which are no discrete system.
 
@@ -86,7 +86,7 @@ def from_control(system: Any, frequency_hz: ArrayLike | None = None, **stated: A
             stated["relative_std"] = 0.0
     else:
         raise WrongUseError(
-            "only frequency response data and systems of python-control become a FRF",
+            "only frequency response data and systems of python-control become an FRF",
             type(system).__name__,
             "use control.frd, control.tf or control.ss first",
         )

@@ -128,7 +128,7 @@ class FRF:
         if f.ndim != 1 or not (nf > 0 and f[0] > 0.0 and np.all(np.diff(f) > 0.0)):
             raise WrongUseError("frequency_hz must be finite, positive and strictly increasing", f"{nf} lines")
         if np.any(np.real(np.einsum("fii->fi", self.covariance)) < 0.0):
-            raise WrongUseError("the variances of a FRF are not negative")
+            raise WrongUseError("the variances of an FRF are not negative")
         ny, nu = len(self.outputs), len(self.inputs)
         shapes: dict[str, tuple[int, ...]] = {name: (nf,) for name in ("valid", *_ARRAYS[3:7])}
         shapes |= {"noise_covariance": (nf, ny * nu, ny * nu)}
@@ -136,22 +136,22 @@ class FRF:
         for name, shape in shapes.items():
             value = getattr(self, name)
             if value is not None and np.shape(value) != shape:
-                raise WrongUseError(f"{name} of a FRF has the shape {shape}", f"{np.shape(value)} for {nf} lines")
+                raise WrongUseError(f"{name} of an FRF has the shape {shape}", f"{np.shape(value)} for {nf} lines")
 
     def _check_words(self) -> None:
-        if not number(self.line_overlap, "the line overlap of a FRF") >= 1.0:
-            raise WrongUseError("the line overlap of a FRF is finite and 1 at least", f"{self.line_overlap!r}")
+        if not number(self.line_overlap, "the line overlap of an FRF") >= 1.0:
+            raise WrongUseError("the line overlap of an FRF is finite and 1 at least", f"{self.line_overlap!r}")
         if not self.variance_freedom > 0.0:
             raise WrongUseError(
-                "the degrees of freedom of a FRF's variance must be positive", f"{self.variance_freedom!r}"
+                "the degrees of freedom of an FRF's variance must be positive", f"{self.variance_freedom!r}"
             )
         if not self.variance_pooled >= 1:
-            raise WrongUseError("a FRF's variance is pooled over at least 1 frequency", f"{self.variance_pooled!r}")
-        object.__setattr__(self, "rate_hz", rate(self.rate_hz, "the rate of a FRF", unknown=True))
+            raise WrongUseError("an FRF's variance is pooled over at least 1 frequency", f"{self.variance_pooled!r}")
+        object.__setattr__(self, "rate_hz", rate(self.rate_hz, "the rate of an FRF", unknown=True))
         for name, value in self.operating_point.items():
-            number(value, f"{name} of a FRF's operating point")
-        refuse_unknown("what the powers of a FRF are per is not known", self.power_per, ("Hz", "line"))
-        refuse_unknown("the hold of a FRF is not known", self.hold, Hold)
+            number(value, f"{name} of an FRF's operating point")
+        refuse_unknown("what the powers of an FRF are per is not known", self.power_per, ("Hz", "line"))
+        refuse_unknown("the hold of an FRF is not known", self.hold, Hold)
         object.__setattr__(self, "hold", Hold(self.hold))
 
     @classmethod
@@ -174,7 +174,7 @@ class FRF:
         method: str = "from arrays",
         **words: Any,
     ) -> FRF:
-        """A FRF from frequencies (nf,) in Hz and a response (nf,) or (nf, ny, nu), whose error is stated once.
+        """An FRF from frequencies (nf,) in Hz and a response (nf,) or (nf, ny, nu), whose error is stated once.
 
         Frequencies may be `omega_rad_s` instead, and a response `magnitude_db` and `phase_deg`, wrapped or not.
 
@@ -194,7 +194,7 @@ class FRF:
         >>> ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
         FRF: 100 frequencies, 0.5 to 200 Hz, 1 output x 1 input, rate 1000 Hz
         """
-        refuse_unknown_keys("a FRF has no such field", words, [f.name for f in fields(cls)])
+        refuse_unknown_keys("an FRF has no such field", words, [f.name for f in fields(cls)])
         arrays = stated_arrays(
             *lines_of(frequency_hz, omega_rad_s, response, magnitude_db, phase_deg),
             std=std, relative_std=relative_std, covariance=covariance, coherence=coherence, averages=averages,
@@ -272,7 +272,7 @@ class FRF:
         """Response (nf,) of a 1 x 1 FRF; refuses a larger one."""
         if self.response.shape[1:] != (1, 1):
             raise WrongUseError(
-                "one loop's response was requested from a FRF with several",
+                "one loop's response was requested from an FRF with several",
                 f"{self.response.shape[1:]}",
                 "pick an element",
             )
@@ -311,7 +311,7 @@ class FRF:
         return self.select(mask)
 
     def valid_lines(self) -> FRF:
-        """The valid lines; refuses a FRF without any."""
+        """The valid lines; refuses an FRF without any."""
         if not self.valid.any():
             raise WrongUseError(
                 f"no frequency of the FRF {self.loop} {self.recording} is valid".replace("  ", " "),

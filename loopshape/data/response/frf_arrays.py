@@ -24,8 +24,8 @@ _COMPLEX = ("covariance", "cross_power", "noise_covariance")
 
 
 def passed(name: str, value: ArrayLike | None) -> np.ndarray:
-    """A copy of a FRF's field `name`, in the type that it has there."""
-    what = f"{name} of a FRF"
+    """A copy of an FRF's field `name`, in the type that it has there."""
+    what = f"{name} of an FRF"
     if name == "valid":
         try:
             mask = np.array(value)
@@ -90,17 +90,17 @@ def lines_of(
             " phase", "give response, or magnitude_db and phase_deg",
         )  # fmt: skip
     if omega_rad_s is None:
-        f = real_array(frequency_hz, "frequency_hz of a FRF")
+        f = real_array(frequency_hz, "frequency_hz of an FRF")
     else:
-        f = real_array(omega_rad_s, "omega_rad_s of a FRF") / TWO_PI
+        f = real_array(omega_rad_s, "omega_rad_s of an FRF") / TWO_PI
     if magnitude_db is not None and phase_deg is not None:
         return f, polar(magnitude_db, phase_deg)
-    return f, complex_array(response, "response of a FRF")
+    return f, complex_array(response, "response of an FRF")
 
 
 def check_relative_std(share: float) -> None:
     """Refuse a relative standard deviation that is negative, or so large that it must be percent."""
-    if number(share, "relative_std of a FRF") < 0.0:
+    if number(share, "relative_std of an FRF") < 0.0:
         raise WrongUseError("a relative standard deviation must not be negative", f"{share:g}", "write 0.05 for 5 %")
     if share >= 2.0:
         raise WrongUseError(
@@ -150,9 +150,9 @@ def stated_arrays(
     if covariance is not None:
         found["covariance"] = _covariance(H, covariance)[keep]
     elif coherence is not None and averages is not None:
-        found |= _by_coherence(H, real_array(coherence, "coherence of a FRF"), number(averages, "averages"), keep)
+        found |= _by_coherence(H, real_array(coherence, "coherence of an FRF"), number(averages, "averages"), keep)
     else:
-        error = relative_std * np.abs(H) if relative_std is not None else _like(H, real_array(std, "std of a FRF"))
+        error = relative_std * np.abs(H) if relative_std is not None else _like(H, real_array(std, "std of an FRF"))
         found["covariance"] = independent(np.asarray(error)[keep] ** 2)
     found["valid"] = valid_frequencies(found["frequency_hz"], found["response"], found["covariance"])
     return found
@@ -160,7 +160,7 @@ def stated_arrays(
 
 def _covariance(H: ComplexArray, covariance: ArrayLike) -> ComplexArray:
     """Covariances (nf, ny nu, ny nu), which may be real; refuses those of another shape."""
-    made = real_or_complex_array(covariance, "covariance of a FRF")
+    made = real_or_complex_array(covariance, "covariance of an FRF")
     size = H.shape[1] * H.shape[2]
     if made.shape != (len(H), size, size):
         raise WrongUseError(

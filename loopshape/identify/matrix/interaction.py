@@ -46,7 +46,7 @@ def interaction(
         raise WrongUseError(
             "a controller is of no loop of this FRF", ", ".join(stray), f"name them by loop: {', '.join(names)}"
         )
-    square.valid_lines()  # refuses a FRF without any
+    square.valid_lines()  # refuses an FRF without any
     pairs = list(combinations(range(len(names)), 2))
     chosen = tuple(bands) if bands is not None else octaves(square)
     return Interaction(
@@ -135,7 +135,7 @@ def relative_gain(frf: FRF) -> RelativeGain:
             "relative gains are those of a square FRF", f"{len(frf.outputs)} x {len(frf.inputs)}", "pick channels"
         )
     H = frf.response
-    G = invert(H, frf.frequency_hz, "a FRF")
+    G = invert(H, frf.frequency_hz, "an FRF")
     gain = H * G.transpose(0, 2, 1)
     std = np.stack([_deviation(h, g, c) for h, g, c in zip(H, G, frf.covariance, strict=True)])
     return RelativeGain(frf.outputs, frf.inputs, frf.frequency_hz, gain, std, frf.valid)
@@ -160,7 +160,7 @@ _MORE = np.geomspace(1.1, 1000.0, 40)  # times the averages that are tried
 
 
 def octaves(frf: FRF) -> tuple[tuple[float, float], ...]:
-    """Octaves between whole powers of two Hz, cut to the valid band; refuses a FRF without one."""
+    """Octaves between whole powers of two Hz, cut to the valid band; refuses an FRF without one."""
     low, high = frf.valid_lines().valid_band_hz
     whole = 2.0 ** np.arange(np.floor(np.log2(low)) + 1.0, np.ceil(np.log2(high)))
     edges = [low, *whole[(whole > low) & (whole < high)].tolist(), high]

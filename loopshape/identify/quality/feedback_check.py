@@ -24,9 +24,9 @@ from loopshape.data.signal.excitation_parts import is_sweep, zero_crossings
 
 #: samples of the past that enter one by one, how far means over stretches go on, and how far into the future
 NEAR, PAST, FUTURE = 32, 512, 64
-#: share of an input's power that its past does not foretell: below the first it is rounding, below the second the
+#: share of an input's power that its past does not predict: below the first it is rounding, below the second the
 #: input is a sweep, a multisine or the like, which a nonlinear plant answers as if it were fed back
-ROUNDING, FORETOLD = 1e-14, 1e-2
+ROUNDING, PREDICTABLE = 1e-14, 1e-2
 #: share of an output's residual that a sweep's future explains where it is feedback: without, up to 15 % in 600 records
 #: whose input's sensor has noise, which makes a sweep less predictable; where more than the share of the sweep's power
 #: that follows is left without it, that is no sensor's noise and less will do
@@ -52,7 +52,7 @@ class FeedbackCheck:
 
     `found` where that is below `false_alarms`. `explained` is the share of the residual's power, `lags` (samples) the
     stretch of the future input that explains most. `told` is False where the record cannot tell: an input that its
-    past foretells completely shows nothing.
+    past predicts completely shows nothing.
     """
 
     found: bool
@@ -101,7 +101,7 @@ def feedback_check(
     target, past, ahead = (rows.without_period(a) for a in (rows.take(z)[:, None], past, future))
     basis = _orthonormal(past)
     e, left = target[:, 0] - basis @ (basis.T @ target[:, 0]), ahead - basis @ (basis.T @ ahead)
-    new = (left**2).sum(axis=0) / np.maximum((future**2).sum(axis=0), 1.0)  # share that the past does not foretell
+    new = (left**2).sum(axis=0) / np.maximum((future**2).sum(axis=0), 1.0)  # share that the past does not predict
     if new.max() < ROUNDING or float(e @ e) < ROUNDING * e.size:
         return nothing_new(false_alarms, e.size, name, bool(period), bool(new.max() < ROUNDING))
     more = _orthonormal(left[:, new >= ROUNDING])
@@ -112,7 +112,7 @@ def feedback_check(
     alone = np.abs(left.T @ e) / np.sqrt(np.where(new >= ROUNDING, (left**2).sum(axis=0), np.inf))
     lags = rows.stretch(int(np.argmax(alone)), answers_after)
     found = probability < false_alarms and explained >= least
-    words = _sentence(found, probability, lags, name, foretold=bool(new[0] < FORETOLD) and not period)
+    words = _sentence(found, probability, lags, name, predictable=bool(new[0] < PREDICTABLE) and not period)
     return FeedbackCheck(found, probability, explained, lags, false_alarms, True, e.size, words)
 
 
@@ -179,7 +179,7 @@ def _without_sweep(x: Array, z: Array) -> tuple[Array, Array] | None:
     """An input x (n,) that is a sweep, and its output z, without what follows its phase; None for another input.
 
     Some cycles at a time sine and cosine of a smooth phase are fitted with amplitudes of order two, and a parabola. A
-    measured sweep's own past foretells it less well than the output's past does, which no noise went round for.
+    measured sweep's own past predicts it less well than the output's past does, which no noise went round for.
     """
     if not is_sweep(x):
         return None
@@ -288,25 +288,25 @@ def _orthonormal(columns: Array) -> Array:
     return np.asarray(kept @ (vectors[:, strong] / np.sqrt(values[strong])))
 
 
-def nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, foretold: bool) -> FeedbackCheck:
+def nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, predictable: bool) -> FeedbackCheck:
     """The answer where an input holds nothing that noise could have put there, or an output no noise."""
-    who, told = name or "the input", periodic and foretold
+    who, told = name or "the input", periodic and predictable
     words = (
         f"{who} is predictable from its own past: the record does not show whether it responds to noise of its output"
     )
     if told:
         words = f"{who} repeats exactly from period to period: it does not answer noise of its output"
-    elif not foretold:
+    elif not predictable:
         words = f"the output follows {who} without noise: the record does not show which of them responds to the other"
     return FeedbackCheck(False, 1.0, 0.0, (0, 0), false_alarms, told, samples, words)
 
 
-def _sentence(found: bool, probability: float, lags: tuple[int, int], name: str, foretold: bool) -> str:
+def _sentence(found: bool, probability: float, lags: tuple[int, int], name: str, predictable: bool) -> str:
     who = name or "the input"
     if not found:
         return f"no sign that {who} answers noise of its output (p = {probability:.2g})"
     when = f"{lags[0]} to {lags[1]}" if lags[1] > lags[0] else f"{lags[0]}"
-    other = ", which such an input cannot separate from feedback" if foretold else ""
+    other = ", which such an input cannot separate from feedback" if predictable else ""
     return (
         f"{who} seems to answer noise of its output (p = {probability:.1e}; it follows what the past of both leaves"
         f" unexplained, {when} samples later): feedback, or a plant that is not linear{other}, or an input that was"

@@ -110,7 +110,7 @@ def signal_feedback(
     if stated and u.size < 4 * period and not repeats(u, period):  # too few to tell them from noise
         period = 0
     elif period and not enough_periods(u.size, period) and not repeats(u, period):  # what differs is a sensor's noise
-        return nothing_new(false_alarms, u.size, name, periodic=False, foretold=True)
+        return nothing_new(false_alarms, u.size, name, periodic=False, predictable=True)
     if not later:
         found = feedback_check(u, y, period=period or None, false_alarms=false_alarms, name=name)
         if found.told:

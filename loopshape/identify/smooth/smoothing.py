@@ -57,7 +57,7 @@ def smoothed(frf: FRF, band_hz: Band = None) -> tuple[FRF, Scatter]:
     """The valid band of a 1 x 1 FRF, or those in a band, smoothed, and draws of their error; same FRF, same answer.
 
     The lines' covariance is used unchanged: one that is too small leaves the lines rough and the intervals short,
-    one that is too large lets a window run over a narrow resonance. A FRF without variance comes back as it is, without
+    one that is too large lets a window run over a narrow resonance. An FRF without variance stays unchanged, without
     scatter. Errors of neighbouring lines are drawn with the correlation that `line_overlap` tells.
     """
     done = _DONE.setdefault(frf, {})

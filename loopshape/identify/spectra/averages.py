@@ -89,7 +89,7 @@ def pooled_variance(frf: FRF) -> Array:
     """Variance E|d|² (nf,) of the lines, pooled over neighbours (41 at most) until it has 60 degrees of freedom.
 
     Few periods know each line's variance badly; weights made of it would prefer the lines that look calm by luck. What
-    is pooled are logarithms, freed of their bias (E ln of a chi-square over its freedom n is digamma(n/2) - ln(n/2)),
+    is pooled are logarithms, bias-corrected (E ln of a chi-square over its freedom n is digamma(n/2) - ln(n/2)),
     of the variance or of its share of |P|², whichever is the flatter about a line.
     """
     v, freedom = np.array(frf.variance[:, 0, 0]), frf.variance_freedom

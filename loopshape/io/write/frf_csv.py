@@ -1,4 +1,4 @@
-"""A FRF as a table: for people and spreadsheets (read back by `toolbox.formats.frf.frf_csv`)."""
+"""An FRF as a table: for people and spreadsheets (read back by `toolbox.formats.frf.frf_csv`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FORMAT = "loopshape-frf-csv/2"
 
 
 def frf_csv(path: Path, frf: FRF, *, header: bool = False) -> None:
-    """Write a FRF as a table: frequency_hz, re, im, std, coherence, valid (1 or 0).
+    """Write an FRF as a table: frequency_hz, re, im, std, coherence, valid (1 or 0).
 
     `std` is sqrt(E|d|²) of the complex error, in the response's unit. A larger FRF than 1 x 1 has re, im
     and std of each element, named by output and input, and before the coherence the covariances between elements p > q
@@ -44,7 +44,7 @@ def _elements(frf: FRF) -> dict[str, Array]:
     columns: dict[str, Array] = {"frequency_hz": frf.frequency_hz}
     for (row, column), tail in tails(frf.outputs, frf.inputs).items():
         element = frf.response[:, row, column]
-        refuse_doubles([*columns, f"re{tail}"], "a FRF's table", "columns")
+        refuse_doubles([*columns, f"re{tail}"], "an FRF's table", "columns")
         columns |= {f"re{tail}": element.real, f"im{tail}": element.imag}
         columns[f"std{tail}"] = np.sqrt(frf.variance[:, row, column])
     return columns

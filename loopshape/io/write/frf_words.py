@@ -1,4 +1,4 @@
-"""What a FRF says of itself beside its numbers, as JSON words; its arrays by name."""
+"""What an FRF says of itself beside its numbers, as JSON words; its arrays by name."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ _WORDS = (
 
 
 def frf_arrays(frf: FRF) -> dict[str, Any]:
-    """The arrays that a FRF has, by name."""
+    """The arrays that an FRF has, by name."""
     return {name: getattr(frf, name) for name in (*ARRAYS, *PERHAPS) if getattr(frf, name) is not None}
 
 
 def frf_header(frf: FRF) -> dict[str, Any]:
-    """Everything of a FRF but its arrays, ready for JSON; `frf_words` reads it back."""
+    """Everything of an FRF but its arrays, ready for JSON; `frf_words` reads it back."""
     held = (
         None
         if frf.recorded_under is None
@@ -70,7 +70,7 @@ def is_format(found: object, now: str) -> bool:
 
 
 def upgraded(named: Mapping[str, Any]) -> dict[str, Any]:
-    """Arrays or words of a FRF's file under the names of now."""
+    """Arrays or words of an FRF's file under the names of now."""
     return {RENAMED.get(name, name): value for name, value in named.items()}
 
 

@@ -54,7 +54,7 @@ def _write_all(run_folder: Path, frfs: Sequence[FRF], run: Run | None, place: st
     refuse_doubles(names, place, "FRFs")
     make_folder(run_folder / place)
     inside(run_folder, place, "the folder of a run's FRFs")
-    paths = [inside(run_folder / place, name, "the name of a FRF's recording and loop") for name in names]
+    paths = [inside(run_folder / place, name, "the name of an FRF's recording and loop") for name in names]
     sources = {} if run is None else marks_as_read(run, {name for frf in frfs for name in _names(frf)})
     with locked(run_folder):
         for path, frf in zip(paths, frfs, strict=True):
@@ -71,7 +71,7 @@ def _names(frf: FRF) -> tuple[str, ...]:
 
 
 def _source(sources: Mapping[str, str], frf: FRF) -> str:
-    """Mark of the recordings that a FRF names; empty where one is not known."""
+    """Mark of the recordings that an FRF names; empty where one is not known."""
     marks = [sources.get(name, "") for name in _names(frf)]
     return "+".join(marks) if all(marks) else ""
 
@@ -95,7 +95,7 @@ def has_any(run_folder: Path, place: str) -> bool:
 def read_frfs(run_folder: Path) -> tuple[FRF, ...]:
     """All FRFs of a run, in the order of their files' names.
 
-    Refuses a folder that does not exist, a run that has none, damaged files, a FRF whose recording has changed or gone
+    Refuses a folder that does not exist, a run that has none, damaged files, an FRF whose recording has changed or gone
     since it was estimated, and a run with an estimation recording that has no FRF yet.
     """
     return _read_all(run_folder, FOLDER, "a run has no FRF yet", "estimate them first: loopshape frf RUN")
@@ -127,7 +127,7 @@ def _read_all(run_folder: Path, place: str, none: str, way_out: str) -> tuple[FR
     paths = sorted(path for path in folder.glob("*.npz") if not path.name.startswith("."))
     if not paths:
         raise UnreadableInputError(none, str(folder), way_out)
-    found = [_read(inside(folder, path.name, "a FRF's file")) for path in paths]
+    found = [_read(inside(folder, path.name, "an FRF's file")) for path in paths]
     if any(source for _, source in found):
         _check_fresh(run_folder, found, place)
     return tuple(frf for frf, _ in found)
@@ -141,7 +141,7 @@ def _check_fresh(run_folder: Path, found: Sequence[tuple[FRF, str]], place: str)
     missing = sorted(wanted - {name for frf, _ in found for name in _names(frf)})
     if stale or missing:
         words = [f"changed or gone: {', '.join(stale)}"] if stale else []
-        words += [f"without a FRF: {', '.join(missing)}"] if missing else []
+        words += [f"without an FRF: {', '.join(missing)}"] if missing else []
         raise UnreadableInputError(
             f"the FRFs of {run_folder} are not those of its recordings", "; ".join(words), "run: loopshape frf RUN"
         )

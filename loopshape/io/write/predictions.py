@@ -34,7 +34,7 @@ _LEAST, _MOST = 1e-20, 1e20
 def write_predictions(path: Path, predictions: Sequence[Prediction]) -> None:
     """Write predictions whole, in place of what was there; refuses none, and two of one loop and recording."""
     if not predictions:
-        raise WrongUseError("there is no prediction to write", "an empty list", "predict from a FRF first")
+        raise WrongUseError("there is no prediction to write", "an empty list", "predict from an FRF first")
     names = [(one.loop, one.recording) for one in predictions]
     if len(set(names)) != len(names):
         raise WrongUseError("two predictions are of one loop and recording", f"{len(names)} for {len(set(names))}")

@@ -124,7 +124,7 @@ def _shared(f: Array, g: Array) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _thinned(frf: FRF, rows: np.ndarray, there: int) -> FRF:
-    """Some of a FRF's lines, which share the less error the fewer they are."""
+    """Some of an FRF's lines, which share the less error the fewer they are."""
     return replace(frf.select(rows), line_overlap=max(1.0, frf.line_overlap * rows.size / there))
 
 

@@ -92,7 +92,7 @@ def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
 
 
 def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
-    """Whether S measured under the predicted controller (`estimate_sensitivity`, or from a FRF) bears a prediction out.
+    """Whether S measured under the predicted controller (`estimate_sensitivity`, or from an FRF) confirms a prediction.
 
     The statistic is that of `check.agreement`; `tolerance_db` is a rms deviation of |S| that counts as none.
     "confirmed" means that these data agree, and would have noticed a change of the plant's gain of 1 dB (or of twice

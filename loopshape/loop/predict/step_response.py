@@ -33,7 +33,7 @@ from loopshape.loop.predict.indicators import indicators, with_intervals
 SMALL, FLAT = 1e-4, 1e-3
 #: most samples of half a period
 LONGEST = 2**21
-#: a FRF's last line must lie where |T| is below this, and its steps must come to rest to this within half a period
+#: an FRF's last line must lie where |T| is below this, and its steps must come to rest to this within half a period
 LAST_T, REST = 0.1, 0.02
 #: and straight lines between its lines must miss T by less than this
 BENT = 0.05

@@ -143,7 +143,7 @@ def low_order(lines: FRF) -> tuple[float, float]:
 def room_of(lines: FRF) -> float:
     """How far slope and phase of the lowest lines may differ and still agree, by the scatter of the lines; below 1.
 
-    One more pole below the lines, which the phase does not show, would part them by 1.
+    One more pole below the lines, which the phase does not show, would separate them by 1.
     """
     f = lines.frequency_hz
     count = max(4, int(np.searchsorted(f, 1.6 * f[0])))

@@ -59,5 +59,5 @@ def check_workers(workers: int) -> None:
     most = _PER_CORE * (os.cpu_count() or 1)
     if not 0 <= workers <= most:
         raise WrongUseError(
-            "the number of workers is not one of this machine", str(workers), f"use 1 to {most}, or 0 for one a core"
+            "the number of workers is not one of this machine", str(workers), f"use 1 to {most}, or 0 (one per core)"
         )

@@ -35,7 +35,7 @@ _TERM = re.compile(r"\s*([+-]?)\s*([A-Za-z_]\w*)")
 class Part:
     """A block of a diagram, from the signals `inputs` to the signals `outputs` (one name each, or several).
 
-    `what` is a measured plant (a FRF, or one for each operating point, channels in the order of the signals), a
+    `what` is a measured plant (an FRF, or one for each operating point, channels in the order of the signals), a
     controller or fixed filter (a delay is a gain of 1 with a computation delay), or a feedforward's taps; nothing where
     it is to be tuned. `integrators` and `unstable_poles` are a plant's, where its recordings do not tell;
     `requirements` are those of a controller that closes an inner loop.

@@ -167,7 +167,7 @@ def _integrators_left(D: Diagram, plants: Sequence[FRF], closings: _Closings) ->
 
 
 def _seen(frf: FRF) -> int | None:
-    """Integrators that the lowest lines of a FRF show, None where they do not tell."""
+    """Integrators that the lowest lines of an FRF show, None where they do not tell."""
     unity = controller(gain(1.0), rate_hz=frf.rate_hz or 10.0 * float(frf.frequency_hz[-1]))
     return loops_of([frf], unity, Requirements(frf.loop), counted=False)[0][0].integrators
 

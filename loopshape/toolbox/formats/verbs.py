@@ -36,7 +36,7 @@ def read_frf(file: str | Path, **stated: Any) -> FRF:
     from loopshape.toolbox.formats.frf.frf_exchange import read_frf_file
     from loopshape.toolbox.formats.frf.frf_foreign import Stated
 
-    refuse_unknown_keys("what is stated of a FRF is not known", stated, [f.name for f in fields(Stated)])
+    refuse_unknown_keys("what is stated of an FRF is not known", stated, [f.name for f in fields(Stated)])
     return read_frf_file(Path(file), Stated(**stated))
 
 

@@ -91,7 +91,7 @@ def _signals(recording: Recording, loop: LoopSetup, rate_hz: float) -> Array:
     if recording.rate_hz != rate_hz:
         raise WrongUseError(
             "a trial is recorded at the rate of its filters", f"{recording.rate_hz:g} and {rate_hz:g} Hz",
-            "make the filters from a FRF at the recording's rate",
+            "make the filters from an FRF at the recording's rate",
         )  # fmt: skip
     r, control = recording.column(loop.reference), recording.column(loop.control)
     known = place == "plant_input" and loop.injected in recording.columns

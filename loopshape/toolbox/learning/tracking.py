@@ -67,7 +67,7 @@ def tracking_error_of(
     if feedforward is not None and feedforward.rate_hz != C.rate_hz:
         raise WrongUseError(
             "feedforward and controller run at one rate", f"{feedforward.rate_hz:g} and {C.rate_hz:g} Hz",
-            "make the feedforward from a FRF at the controller's rate",
+            "make the feedforward from an FRF at the controller's rate",
         )  # fmt: skip
     r = real_array(setpoint, "the setpoint", ndim=1)
     if r.size < 16:

@@ -117,7 +117,7 @@ def plan(first: FirstRecord, required: Required, controller: Controller | None =
 
 @dataclass(frozen=True)
 class _Size:
-    """How large and how long; what binds it, and what would be needed where the accuracy is not reached."""
+    """How large and how long; the active constraint, and what would be needed where the accuracy is not reached."""
 
     realisations: int
     periods: int

@@ -121,7 +121,7 @@ def first_record(recording: Recording, loop: LoopSetup, settings: Settings | Non
 def _moved(answers: Answers) -> np.ndarray:
     """Lines (nf,) whose input and output are known to follow the instrument, to `KNOWN`.
 
-    Under feedback a FRF that noise made looks sure of itself: input and output are then tied by the controller.
+    Under feedback an FRF that noise made looks sure of itself: input and output are then tied by the controller.
     """
     variance = np.einsum("nii->ni", answers.covariance).real[:, :2]
     return np.asarray((variance < (KNOWN * np.abs(answers.response[:, :2, 0])) ** 2).all(axis=1))

@@ -20,7 +20,7 @@ def schedule(
     require: RequireFile,
     controller: Annotated[Path, typer.Option(help="The robust controller (TOML), as `tune` writes it.")],
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
-    starts: Annotated[int, typer.Option(min=1, help="How many of the random starts are followed.")] = 16,
+    starts: Annotated[int, typer.Option(min=1, help="Number of random starts searched to the end.")] = 16,
     figures: Annotated[bool, typer.Option(help="Draw the cost and the parameters over the operating points.")] = True,
     as_json: AsJson = False,
     quiet: Quiet = False,

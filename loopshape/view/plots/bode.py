@@ -40,7 +40,7 @@ def bode_page(loop: Loop, requirements: Requirements | None, *, verdict: Verdict
 
     Dots are P and L on the lines as they were measured. With a verdict the gain and phase margins stand as bars at
     their frequencies, the bandwidth and the peaks of |S| and |T| as dots, with their 95 % intervals: those of a peak
-    or a margin, freed of its bias, so a dot may lie beside its curve.
+    or a margin, bias-corrected, so a dot may lie beside its curve.
     """
     figure = new_figure(4, 2, (FULL_WIDTH_IN, 8.8), sharex=True)
     panels = dict(zip("PpCcLlST", figure.axes, strict=True))

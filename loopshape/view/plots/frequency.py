@@ -238,7 +238,7 @@ def _estimate(parameter: Estimate) -> str:
 def frf_overview(frfs: Sequence[FRF], fits: Sequence[Fit] | None = None) -> Figure:
     """Magnitudes and phases of all operating points over each other, as figure 4.13 of DCT 2007.002.
 
-    `fits`, one a FRF in the same order, are drawn dashed in grey over them.
+    `fits`, one an FRF in the same order, are drawn dashed in grey over them.
     """
     if not frfs or (fits is not None and len(fits) != len(frfs)):
         got = f"{len(frfs)} FRFs and {'no' if fits is None else len(fits)} fits"

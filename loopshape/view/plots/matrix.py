@@ -1,4 +1,4 @@
-"""Pictures of a FRF with several inputs and outputs: all elements in a grid, or an overview of many."""
+"""Pictures of an FRF with several inputs and outputs: all elements in a grid, or an overview of many."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _KNOWN = 1.92  # deviations below which an element may be zero: sqrt(-ln 0.025)
 
 @styled()
 def matrix_page(frf: FRF) -> Figure:
-    """Every element of a FRF: magnitude with its 95 % band above phase, outputs down, inputs across.
+    """Every element of an FRF: magnitude with its 95 % band above phase, outputs down, inputs across.
 
     Elements of one row share their scales; dots of phase are lines at which the element may be zero. Of more than four
     inputs or outputs a map for each input instead.

@@ -62,7 +62,7 @@ def sensitivity_atlas(
     """|S| in dB over frequency, one row an operating point, sorted by the operating coordinates that vary.
 
     Thin lines part cells below 0 dB from those above it, and cells beyond the limit are framed. A mark stands on each
-    peak, its value with the 95 % interval beside the row (with a verdict freed of its bias; a peak above the last line
+    peak, its value with the 95 % interval beside the row (with a verdict bias-corrected; a peak above the last line
     is marked there). An unstable row is hatched: there |S| means nothing. Each row has its own lines; where these leave
     a gap the row does. Where exactly two coordinates vary, and the verdict asks for something, maps of each requirement
     over both stand below, with values in the cells.

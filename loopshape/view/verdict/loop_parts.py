@@ -40,7 +40,7 @@ _CONTROLLER: dict[str, Any] = {"color": "0.15", "linewidth": 1.2}
 def needs_loops(loops: Sequence[Loop]) -> None:
     """Refuse a picture of nothing."""
     if not loops:
-        raise WrongUseError("a picture of loops needs at least one", "none", "give the loops of a FRF set")
+        raise WrongUseError("a picture of loops needs at least one", "none", "give the loops of an FRF set")
 
 
 def title_of(what: str, loops: Sequence[Loop]) -> str:
@@ -150,7 +150,7 @@ def _longest(loops: Sequence[Loop]) -> int:
 
 
 def draw_bands(top: Axes, side: Axes | None, loop: Loop, name: str, colour: str) -> None:
-    """95 % band of a magnitude and of its phase, where it is known; nothing for a FRF without variance."""
+    """95 % band of a magnitude and of its phase, where it is known; nothing for an FRF without variance."""
     if not np.any(loop.plant.variance):
         return
     ends, use = band(loop, name), loop.plant.valid

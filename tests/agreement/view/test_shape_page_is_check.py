@@ -263,7 +263,7 @@ def test_each_loop_of_a_matrix_meets_the_plant_with_the_others_closed(
 
 
 def coupled(coupling: float) -> ls.FRF:
-    """Two lags with integrators that meet in each other."""
+    """Two coupled lags with integrators."""
     f = np.arange(0.1, 20.0, 0.1)
     s = 2j * np.pi * f
     G = np.array([[1.0, coupling], [-coupling, 1.0]]) * (4.0 / (s * (0.02 * s + 1.0)))[:, None, None]

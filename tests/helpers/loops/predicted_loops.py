@@ -61,7 +61,7 @@ def measured(
 
 
 def predicted(plant: ls.FRF, controller: ls.Controller = NEW) -> ls.Prediction:
-    """What a FRF predicts of S under a controller, without a step."""
+    """What an FRF predicts of S under a controller, without a step."""
     S = replace(feedback(plant, controller).S_o, recorded_under=controller, loop="a")
     return ls.Prediction(S, "stable")
 

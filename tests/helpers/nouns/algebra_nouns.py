@@ -19,7 +19,7 @@ def any_frf(rng, ny, nu, *, f=None, error=0.01, outputs=None, inputs=None, recor
 
 
 def drawn(rng, frf, count):
-    """Responses (count, nf, ny, nu) around a FRF's, with circular errors of its covariance."""
+    """Responses (count, nf, ny, nu) around an FRF's, with circular errors of its covariance."""
     nf, ny, nu = frf.response.shape
     values, vectors = np.linalg.eigh(frf.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]

@@ -11,7 +11,7 @@ RATE = 2000.0
 
 
 def frf_of(model, name="one", low_hz=0.05, high_hz=100.0, lines=300):
-    """A FRF without noise of anything with a `response`."""
+    """An FRF without noise of anything with a `response`."""
     f = np.geomspace(low_hz, high_hz, lines)
     return ls.FRF(
         frequency_hz=f,
@@ -32,7 +32,7 @@ def gain(value=1.0):
 
 
 def loop_of(model, controller=None, integrators=0, unstable_poles=0, **lines):
-    """A loop on a FRF of a model."""
+    """A loop on an FRF of a model."""
     return Loop(frf_of(model, **lines), controller or gain(), integrators, unstable_poles)
 
 

@@ -309,7 +309,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
         ls.controller(ls.gain(), rate_hz=1000.0)
     with pytest.raises(ls.errors.WrongUseError, match="0 < low < high"):
         ls.notch((5.0, 2.0))
-    with pytest.raises(ls.errors.WrongUseError, match=r"P of ls\.check must be a FRF, a sequence of FRF or a Diagram"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"P of ls\.check must be an FRF, a sequence of FRF or a Diagram"):
         ls.check([3.0], ls.controller(ls.gain(1.0), rate_hz=1000.0))
     with pytest.raises(ls.errors.WrongUseError, match="only frequency response data and systems"):
         ls.from_control(3.0)
@@ -318,7 +318,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
 
 
 def test_files_go_out_and_come_back(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """A run, a FRF and a controller, written and read: the same numbers; other things are refused."""
+    """A run, an FRF and a controller, written and read: the same numbers; other things are refused."""
     run = ls.Run.from_arrays(**{name: x[:20_000] for name, x in arrays.items()}, rate_hz=RATE_HZ)
     back = ls.read(ls.write(run, tmp_path / "run")).recordings[0].column("y_1")
     np.testing.assert_array_equal(back, arrays["y"][:20_000])

@@ -71,7 +71,7 @@ def decouple(P: FRF, at_hz: float | tuple[float, float], order: int = 0) -> Deco
     `ls.interaction` and `ls.check`; its `weights` make a simulated arm or a target run it (`ls.rig.measure`). Of the
     frequencies in a band each counts alike; of a single one the nearest that was measured is taken. For filters they
     count by their variance, those known better than 1 % of the coupling alike. `std` follows from the FRF's covariance
-    to first order. Raises WrongUseError for a FRF of a single loop, for a band without lines, and for filters with too
+    to first order. Raises WrongUseError for an FRF of a single loop, for a band without lines, and for filters with too
     few of them, without a rate or up to half of it.
 
     Misleads where the coupling turns with frequency: a constant matrix cancels its real part alone. Filters are stable

@@ -143,7 +143,7 @@ def firmware(
     axis: Annotated[str, typer.Option(help="roll, pitch or yaw; of drives position, velocity or current.")] = "roll",
     notch: Annotated[
         list[str] | None,
-        typer.Option(help="A dynamic notch as it stood, FREQUENCY:WIDTH in Hz (betaflight: FREQUENCY:Q); repeatable."),
+        typer.Option(help="A dynamic notch in flight, FREQUENCY:WIDTH in Hz (betaflight: FREQUENCY:Q); repeatable."),
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,

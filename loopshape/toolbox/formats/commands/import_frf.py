@@ -1,4 +1,4 @@
-"""`loopshape import-frf`: a FRF that somebody else measured, as fit, tune, check and figures take it."""
+"""`loopshape import-frf`: an FRF that somebody else measured, as fit, tune, check and figures take it."""
 
 from __future__ import annotations
 

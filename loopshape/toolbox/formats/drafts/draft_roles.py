@@ -1,7 +1,7 @@
-"""The likely part of each signal in a loop, by name, by sums and by who answers whom; each with a sentence.
+"""The likely part of each signal in a loop, by name, by sums and by the direction of causality; each with a sentence.
 
 A name is a hint and measurements decide: a copy of another column is left out, what answers others is not external, and
-what only hints and leftovers tell of control and output must be confirmed by who answers whom, or it is asked.
+what only hints and leftovers tell of control and output the direction of causality must confirm, or it is asked.
 """
 
 from __future__ import annotations

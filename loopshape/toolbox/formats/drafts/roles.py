@@ -1,4 +1,4 @@
-"""What signals of unknown parts say of each other: sums, who answers whom, who moves by itself.
+"""What signals of unknown parts say of each other: sums, direction of causality, what moves by itself.
 
 Columns are (n, m) of one recording. A signal that others' past helps to predict answers them (Granger, Econometrica 37,
 1969, with a regression on a few lags); one whose prediction they do not help moves by itself. Misleads for signals that

@@ -1,4 +1,4 @@
-"""The table of a FRF that `io.write.frf_csv` writes, back with its whole covariance."""
+"""The table of an FRF that `io.write.frf_csv` writes, back with its whole covariance."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def _header(path: Path) -> tuple[Mapping[str, Any], int]:
         second = file.readline()
     if not is_format(first.strip("# \n\r"), FORMAT):
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", short(first), "remove such frequencies")
-    with reading(path, "the words of a FRF's table"):
+    with reading(path, "the words of an FRF's table"):
         words = json.loads(second.removeprefix("#"))
         if not isinstance(words, dict) or not isinstance(words["lines"], int):
             raise ValueError("no table of words")
@@ -98,7 +98,7 @@ def _check_columns(table: CsvTable, wanted: list[str], others: list[str]) -> Non
         words = [f"no {', '.join(missing)}"] if missing else []
         words += [f"unknown {', '.join(map(repr, unknown))}"] if unknown else []
         raise UnreadableInputError(
-            f"{table.path} is no table of a FRF", short("; ".join(words)),
+            f"{table.path} is no table of an FRF", short("; ".join(words)),
             "it has the columns frequency_hz, re, im and perhaps std, coherence, valid; with several channels re, im"
             " and std end in _output_input, and the names are stated (--outputs, --inputs)",
         )  # fmt: skip
@@ -136,7 +136,7 @@ def _covariance(table: CsvTable, std: list[str], cross: list[str], ny: int, nu: 
         raise UnreadableInputError(f"a standard deviation of {table.path} is negative", f"{each.min():g}")
     made = np.zeros((len(each), n, n), dtype=complex)
     place = np.arange(n).reshape(nu, ny).T.ravel()  # of output by output in vec with columns stacked
-    with np.errstate(over="ignore"):  # a FRF refuses what is not finite
+    with np.errstate(over="ignore"):  # an FRF refuses what is not finite
         made[:, place, place] = each**2
     present = [name for name in cross if name in table.names]
     if present and len(present) != len(cross):

@@ -79,7 +79,7 @@ def export_frfs(frfs: Sequence[FRF], to: str, out: Path) -> tuple[tuple[Path, ..
     names = [f"{frf.recording or 'all'}.{frf.loop or 'all'}{kind.ending}" for frf in frfs]
     refuse_doubles(names, str(out), "FRFs")
     make_folder(out)
-    paths = [inside(out, name, "the name of a FRF's recording and loop") for name in names]
+    paths = [inside(out, name, "the name of an FRF's recording and loop") for name in names]
     with writing(out), staged(out, "export") as stage:
         notes = [note for name, frf in zip(names, frfs, strict=True) for note in kind.write(stage / name, frf)]
         for name, path in zip(names, paths, strict=True):
@@ -91,7 +91,7 @@ def write_frf_file(path: Path, frf: FRF) -> tuple[str, ...]:
     """Write one FRF whole, in the format of the file's ending; gives what that format cannot hold."""
     kind = _ENDINGS.get(path.suffix.lower())
     if kind is None:
-        raise WrongUseError("a FRF is not written to a file of this kind", str(path), f"use {', '.join(_ENDINGS)}")
+        raise WrongUseError("an FRF is not written to a file of this kind", str(path), f"use {', '.join(_ENDINGS)}")
     make_folder(path.parent)
     with writing(path), staged(path.parent, "export") as stage:
         notes = FORMATS[kind].write(stage / path.name, frf)
@@ -107,7 +107,7 @@ def read_frf_file(path: Path, stated: Stated | None = None) -> FRF:
     known = _ENDINGS | _READ
     kind = known.get(path.suffix.lower())
     if kind is None:
-        raise UnreadableInputError("a FRF in a file of this kind is not read", str(path), f"use {', '.join(known)}")
+        raise UnreadableInputError("an FRF in a file of this kind is not read", str(path), f"use {', '.join(known)}")
     stated = stated or Stated()
     frf = frf_of(_READERS[kind](path, stated), stated)
     if stated.negative:
@@ -133,7 +133,7 @@ def _check_names(frfs: Sequence[FRF]) -> None:
     for frf in frfs:
         for name, option in ((frf.recording, "--recording"), (frf.loop, "--loop")):
             if name:
-                plain_name(name, f"the name of a FRF ({option} gives another)")
+                plain_name(name, f"the name of an FRF ({option} gives another)")
 
 
 def add_frfs(folder: Path, frfs: Sequence[FRF], *, replace_same: bool = False) -> tuple[Path, ...]:

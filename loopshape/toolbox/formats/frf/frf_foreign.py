@@ -1,6 +1,6 @@
-"""A FRF out of somebody's file: what the file holds, what the user states of it, and what is not known.
+"""An FRF out of somebody's file: what the file holds, what the user states of it, and what is not known.
 
-A FRF carries its error. Where a file holds no covariance, the error is stated by the user (`relative_std`), or follows
+An FRF carries its error. Where a file holds no covariance, the error is stated by the user (`relative_std`), or follows
 from the coherence of a single input and the number of averages: E|d|² = |G|² (1 - γ²)/(γ² (K - 1)), which is Bendat and
 Piersol (Random Data, 4th ed., table 9.6) with the one degree of freedom that G itself took. With several inputs an
 ordinary coherence does not say this, and it is not used.
@@ -67,7 +67,7 @@ def frf_of(found: ForeignFRF, stated: Stated | None = None) -> FRF:
     stated = stated or Stated()
     _check_stated(stated)
     found = _above_zero(_checked(found))
-    with said_in(found.where), np.errstate(over="ignore", invalid="ignore"):  # a FRF refuses what is not finite
+    with said_in(found.where), np.errstate(over="ignore", invalid="ignore"):  # an FRF refuses what is not finite
         words = _words(found, stated)
         covariance, freedom = _covariance(found, stated, words["averages"])
         arrays: dict[str, Any] = {name: found.arrays[name] for name in PERHAPS if name in found.arrays} | _coherences(
@@ -112,7 +112,7 @@ def _checked(found: ForeignFRF) -> ForeignFRF:
 
 
 def _above_zero(found: ForeignFRF) -> ForeignFRF:
-    """Without a first line at 0 Hz, which analysers write and a FRF on lines above zero does not have."""
+    """Without a first line at 0 Hz, which analysers write and an FRF on lines above zero does not have."""
     if found.frequency_hz[0] != 0.0 or found.frequency_hz.size == 1:
         return found
 
@@ -193,7 +193,7 @@ def _coherence(values: Array) -> Array:
 
 
 def _coherences(found: ForeignFRF) -> dict[str, Array]:
-    """Ordinary coherence of a single input, where a FRF has room for it."""
+    """Ordinary coherence of a single input, where an FRF has room for it."""
     values, (ny, nu) = found.element_coherence, found.response.shape[1:]
     if values is None or nu > 1:
         return {}

@@ -1,4 +1,4 @@
-"""A FRF as an HDF5 file that h5py alone reads: lines first, covariance and provenance beside; docs/frf_hdf5.md."""
+"""An FRF as an HDF5 file that h5py alone reads: lines first, covariance and provenance beside; docs/frf_hdf5.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DIMENSIONS = {"frequency_hz": 1, "response": 3, "covariance": 3, "valid": 1}
 
 
 def write_frf_hdf5(path: Path, frf: FRF) -> tuple[str, ...]:
-    """Write all that a FRF holds; names, method and the like as attributes, everything of it as JSON in `header`."""
+    """Write all that an FRF holds; names, method and the like as attributes, everything of it as JSON in `header`."""
     import h5py
 
     header = frf_header(frf)

@@ -1,4 +1,4 @@
-"""A FRF as a MAT file: in MATLAB's order (outputs, inputs, lines), and back from it or from any `response`."""
+"""An FRF as a MAT file: in MATLAB's order (outputs, inputs, lines), and back from it or from any `response`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _UNITS = {"Hz": 1.0, "rad/s": hz(1.0), "rad/TimeUnit": hz(1.0)}
 
 
 def write_frf_mat(path: Path, frf: FRF) -> None:
-    """Write all that a FRF holds: arrays with lines last, names as cells of texts, the rest as JSON in `header`."""
+    """Write all that an FRF holds: arrays with lines last, names as cells of texts, the rest as JSON in `header`."""
     from scipy.io import savemat
 
     data: dict[str, Any] = {name: np.moveaxis(values, 0, -1) for name, values in frf_arrays(frf).items()}
@@ -120,7 +120,7 @@ def _words(path: Path, held: Mapping[str, np.ndarray]) -> dict[str, Any]:
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(text), "take format out of it")
     words: dict[str, Any] = {}
     if _text(held, "header"):
-        with reading(path, "the words of a FRF"):
+        with reading(path, "the words of an FRF"):
             words = json.loads(_text(held, "header"))
             if not isinstance(words, dict):
                 raise ValueError("header is no table")

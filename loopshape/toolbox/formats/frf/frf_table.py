@@ -85,7 +85,7 @@ def _places(path: Path, layout: TextLayout) -> dict[str, tuple[int, str]]:
                 **beside,
             }
     raise UnreadableInputError(
-        f"{path.name} is no table of a FRF", short(", ".join(layout.names)) or "no header",
+        f"{path.name} is no table of an FRF", short(", ".join(layout.names)) or "no header",
         "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag",
     )  # fmt: skip
 

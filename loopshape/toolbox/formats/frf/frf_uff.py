@@ -1,4 +1,4 @@
-"""A FRF as a universal file of type 58, as modal analysis exchanges them; read by the library pyuff (optional).
+"""An FRF as a universal file of type 58, as modal analysis exchanges them; read by the library pyuff (optional).
 
 The format holds a function for each pair of a response and a reference: frequency responses (type 4), coherences
 (type 6). It has no room for a covariance, nor for which lines are valid. Source: SDRC universal dataset 58,

@@ -143,7 +143,7 @@ def energies(
 
 
 def discrepancy(of: Sequence[str], explanations: Sequence[Array]) -> Array:
-    """Mean square over the floor that even the best explanation leaves beyond noise, (cells,), one size a channel.
+    """Mean square over the noise floor that the best explanation leaves beyond noise, (cells,), one size a channel.
 
     `of` are the cells' channels, `explanations` mean squares (cells,) of recordings left out. The median over a
     channel's recordings: a few that one explanation leaves are its own (Kennedy and O'Hagan 2001 for the frame).

@@ -17,7 +17,7 @@ CLEAR, DEVIATIONS = 1.0, 2.0  # of the logarithm of the evidence, and how many s
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What even the best explanation leaves of each cell, (cells,), a mean square over the floor with the noise."""
+    """What the best explanation leaves of each cell, (cells,): mean square over the noise floor, noise included."""
 
     evidence: Evidence
     left: Array

@@ -223,7 +223,7 @@ def extended(c: Composed, f: Followed, start: Array) -> Array:
 
 
 def off(f: Followed, y: Array) -> Array:
-    """Measured minus simulated outputs y (k, blocks, ny) over the floor, (k, values); what runs away is cut off."""
+    """Measured minus simulated outputs y (k, blocks, ny) per noise floor, (k, values); what runs away is cut off."""
     lacking = (f.measured - y.reshape(-1, *f.measured.shape)) / f.floor
     np.clip(lacking, -RUN_AWAY, RUN_AWAY, out=lacking)
     lacking[np.isnan(lacking)] = RUN_AWAY
@@ -233,7 +233,7 @@ def off(f: Followed, y: Array) -> Array:
 def shot(
     c: Composed, f: Followed, m: Mapping[str, float], x0: Array | None = None
 ) -> tuple[Array, Array, Array, np.ndarray]:
-    """Lacking (windows, values), slopes (windows, values, states) over the floor, x0, and which states are free."""
+    """Lacking (windows, values), slopes (windows, values, states) per noise floor, x0, and which states are free."""
     x0 = extended(c, f, f.start) if x0 is None else x0
     free = c.free_states(m)
     ranges = c.extended_ranges(f.ranges)
@@ -329,7 +329,7 @@ def _projected(slopes: Array, lacking: Array) -> Array:
 
 
 def pushed(c: Composed, f: Followed, m: Mapping[str, float], pushes: Sequence[Push]) -> Array:
-    """What each push does to the outputs over the floor, (windows, values, pushes), initial states answering.
+    """What each push does to the outputs per noise floor, (windows, values, pushes), initial states answering.
 
     By straight lines from the initial states that fit best without: a push is so small that it stays one. Only the
     windows that a push is felt in are simulated.

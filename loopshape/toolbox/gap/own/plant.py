@@ -238,7 +238,7 @@ class OwnMachine:
         return {o.name: float(prepared.floor[k]) for k, o in enumerate(self.model.outputs)}
 
     def paths(self, prepared: Followed, moves: Mapping[str, float]) -> dict[str, Array]:
-        """Measured minus simulated over the floor, measured inputs in, by output."""
+        """Measured minus simulated relative to the noise floor, measured inputs in, by output."""
         floors = self.floors(prepared)
         simulated = following.explained(self.composed, prepared, moves, following.CONVERGED)
         return {f"inputs -> {k}": off / floors[k] for k, off in self._off(prepared, simulated).items()}

@@ -221,7 +221,7 @@ def _rms(values: Array) -> float:
 
 
 def _proposal(plant: Plant, run: Run, chosen: Sequence[Candidate], parts: tuple[str, str], value: float) -> Proposal:
-    """The study of the best candidate, and of the best that gives a FRF where it gives none; and its sentence."""
+    """The study of the best candidate, and of the best that gives an FRF where it gives none; and its sentence."""
     best, t = chosen[0], chosen[0].template
     also = f"; the study also holds {chosen[1].what}" if len(chosen) > 1 else ""
     seconds = t.duration_s if t.excitation is None else t.lead_s + t.excitation.duration_s + t.tail_s

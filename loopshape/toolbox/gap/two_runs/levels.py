@@ -36,12 +36,12 @@ TAIL = 4.0  # half widths about a resonance that are left out of the gain
 CHANCE = 0.005  # of calling a quantity of a linear machine dependent
 _NEPER_DB = 8.685889638
 MISSED = 16.0  # squared error of a cubic over every second line, over that of the cubic itself, at the least
-LEAST_GAIN_DB, LEAST_SHIFT = 0.02, 2e-4  # what estimators may bias a FRF by
+LEAST_GAIN_DB, LEAST_SHIFT = 0.02, 2e-4  # what estimators may bias an FRF by
 
 
 @dataclass(frozen=True, eq=False)
 class AtLevel:
-    """A FRF and the rms of what was injected for it, in `unit`."""
+    """An FRF and the rms of what was injected for it, in `unit`."""
 
     frf: FRF
     level: float

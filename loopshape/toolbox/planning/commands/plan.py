@@ -21,10 +21,10 @@ _LIMIT = "in the unit of its column (rad, V, ...)"
 def plan(
     run: RunFolder,
     recording: Annotated[str | None, typer.Option(help="The first recording, where the run has several.")] = None,
-    std_db: Annotated[float | None, typer.Option(help="Wanted std of |G| at the crossover in dB.")] = None,
+    std_db: Annotated[float | None, typer.Option(help="Required std of |G| at the crossover in dB.")] = None,
     std_percent: Annotated[float | None, typer.Option(help="The same in percent.")] = None,
     std_deg: Annotated[float | None, typer.Option(help="The same of the phase, in degrees.")] = None,
-    at: Annotated[float | None, typer.Option(help="Where it is wanted in Hz; default: the crossover.")] = None,
+    at: Annotated[float | None, typer.Option(help="Where it is required, in Hz; default: the crossover.")] = None,
     controller: Annotated[
         Path | None, typer.Option(help="A controller file for the crossover; default: the run's own.")
     ] = None,
@@ -41,7 +41,7 @@ def plan(
         float | None, typer.Option(help="Highest frequency; default: known, a decade above at most.")
     ] = None,
     resolution_hz: Annotated[
-        float | None, typer.Option(help="Distance of lines in Hz; with --seconds, in place of an accuracy.")
+        float | None, typer.Option(help="Frequency resolution in Hz; with --seconds, in place of an accuracy.")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Length in s; with --resolution-hz.")] = None,
     lines: Annotated[str, typer.Option(help="odd (shows distortion), log, or all.")] = "odd",

@@ -1,4 +1,4 @@
-"""A study of the 2-DoF arm through the commands: `measure` records its four loops and estimates a FRF of each."""
+"""A study of the 2-DoF arm through the commands: `measure` records its four loops and estimates an FRF of each."""
 
 import json
 from pathlib import Path

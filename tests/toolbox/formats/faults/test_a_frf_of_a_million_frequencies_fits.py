@@ -1,4 +1,4 @@
-"""A FRF of very many frequencies is checked, drawn and reported in bounded memory, and its page stays small."""
+"""An FRF of very many frequencies is checked, drawn and reported in bounded memory, and its page stays small."""
 
 import tracemalloc
 from pathlib import Path

@@ -120,7 +120,7 @@ def test_noise_parameters_are_those_of_two_ports_and_are_counted(tmp_path):
 def test_parts_of_several_traces_are_not_put_together(tmp_path):
     text = "Frequency (Hz),TR1: Gain (dB),TR2: Gain (Degree),TR3: Gain (Degree)\n"
     (tmp_path / "a.csv").write_text(text + rows(F, DB, WRAPPED, WRAPPED))
-    with pytest.raises(ls.LoopshapeError, match="no table of a FRF"):
+    with pytest.raises(ls.LoopshapeError, match="no table of an FRF"):
         ls.formats.read_frf(tmp_path / "a.csv", relative_std=0.01)
 
 

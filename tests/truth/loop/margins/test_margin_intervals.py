@@ -1,4 +1,4 @@
-"""Margins of noisy FRFs: freed of the extreme value's bias, with intervals that hold the truth as often as they say."""
+"""Margins of noisy FRFs: corrected for the extreme value's bias, with intervals of the stated coverage."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""A FRF of very many frequencies is checked on fewer of them, and what is said of it stays true."""
+"""An FRF of very many frequencies is checked on fewer of them, and what is said of it stays true."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def measured(n, relative, seed=0, **words):
 
 
 def misses(frf):
-    """Errors of a FRF's values in their own deviations, no less than what merging may round off."""
+    """Errors of an FRF's values in their own deviations, no less than what merging may round off."""
     std = np.sqrt(frf.variance[:, 0, 0] + (1e-4 * np.abs(frf.siso)) ** 2)
     return np.abs(frf.siso - plant(frf.frequency_hz)) / std
 

@@ -36,7 +36,7 @@ FOUR = (
 
 
 def norm_of(plant, C, weights):
-    """The largest root of the sum of squared weighted responses, on the frequencies of a FRF."""
+    """The largest root of the sum of squared weighted responses, on the frequencies of an FRF."""
     f, c = plant.frequency_hz, C.response(plant.frequency_hz)
     S = 1.0 / (1.0 + c * plant.siso)
     sizes = {"S": S, "T": c * plant.siso * S, "CS": c * S, "PS": plant.siso * S}

@@ -1,4 +1,4 @@
-// Loop -> margins, freed of the bias of noise, with 95 % intervals from draws (Python: loop/margins.py).
+// Loop -> margins, bias-corrected for noise, with 95 % intervals from draws (Python: loop/margins.py).
 
 import { clip, db, geometric, placeIn, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
@@ -61,7 +61,7 @@ export interface Margins {
   settled: boolean;
 }
 
-/** Margins of a loop; with draws they are freed of bias and have intervals. */
+/** Margins of a loop; with draws they are bias-corrected and have intervals. */
 export function margins(loop: Loop, reader: Reader): Margins {
   const [first, ...others] = readings(loop);
   const { found, at } = nominal(loop, first, reader);
