@@ -1,4 +1,4 @@
-"""Curves of the report's plots: an operating point's plant and controller with the 95 % reach, thinned."""
+"""Curves of the report's plots: an operating point's plant and controller with the 95 % half width, thinned."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class Trace:
     """One operating point's curves on `frequency_hz` (nf,), a choice out of `lines` measured ones.
 
     `plant` and `controller` (nf,) are complex, the latter empty where there is none: their product is the open loop,
-    and the page makes the other responses of both. `phase_deg` goes on over all measured lines. `reach` is the
-    relative 95 % reach of |P|, |S| and |T|. `dots` are lines of P as they were measured: frequency, dB, degrees.
+    and the page makes the other responses of both. `phase_deg` goes on over all measured lines. `half_width` is the
+    relative 95 % half width of |P|, |S| and |T|. `dots` are lines of P as they were measured: frequency, dB, degrees.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Trace:
     plant: ComplexArray
     controller: ComplexArray
     phase_deg: Mapping[str, Array]
-    reach: Mapping[str, Array]
+    half_width: Mapping[str, Array]
     lines: int
     dots: tuple[Array, Array, Array]
 
@@ -99,14 +99,14 @@ def _trace(
         plant=responses["P"][keep],
         controller=controller[keep] if controller.size else controller,
         phase_deg={name: x[keep] for name, x in phases.items()},
-        reach={name: x[keep] for name, x in relative_reach(lines, responses).items()},
+        half_width={name: x[keep] for name, x in relative_half_width(lines, responses).items()},
         lines=int(f.size),
         dots=_dots(frf, lines, everything="L" in responses),
     )
 
 
-def relative_reach(lines: FRF, responses: Mapping[str, ComplexArray]) -> dict[str, Array]:
-    """95 % reach (nf,) of |P|, |S| and |T| beside their sizes, to first order.
+def relative_half_width(lines: FRF, responses: Mapping[str, ComplexArray]) -> dict[str, Array]:
+    """95 % half width (nf,) of |P|, |S| and |T| beside their sizes, to first order.
 
     With a circular error of P the real part alone has half its variance. dL/L = dP/P, dS/S = -T dP/P, dT/T = S dP/P;
     CS and PS follow as S and T do. It misleads where it comes near to 1.
@@ -138,7 +138,7 @@ def embedded(traces: Sequence[Trace]) -> list[dict[str, Any]]:
             "P": packed(trace.plant),
             "C": packed(trace.controller),
             "phase": {name: packed(x) for name, x in trace.phase_deg.items()},
-            "reach": {name: packed(x) for name, x in trace.reach.items()},
+            "half_width": {name: packed(x) for name, x in trace.half_width.items()},
             "dots": {name: packed(x) for name, x in zip(("f", "size", "phase"), trace.dots, strict=True)},
         }
         for trace in traces

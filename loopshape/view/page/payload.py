@@ -62,9 +62,9 @@ class ClosedLoops:
 
 @dataclass(frozen=True, eq=False)
 class ShapingSession:
-    """One loop of the page: its FRFs, where shaping starts, what is required, and what a check says of that start.
+    """One loop of the page: its FRFs, where shaping starts, what is required, and the verdict on that start.
 
-    Where it is one of several, its FRFs are of the plant that it meets with the `others` closed.
+    Where it is one of several, its FRFs are of the equivalent plant with the `others` closed.
     """
 
     frfs: tuple[FRF, ...]
@@ -75,7 +75,7 @@ class ShapingSession:
     others: ClosedLoops | None = None
 
     def judged(self, required: Requirements) -> Requirements:
-        """What is required of the plant that is met."""
+        """The requirements of the equivalent plant."""
         return required if self.others is None else self.others.judged(required)
 
 
@@ -96,9 +96,9 @@ def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[s
 def _constants() -> dict[str, Any]:
     """Numbers of the formulas, from the modules that hold them."""
     return {
-        "reach": margins.REACH,
-        "down": low_end.DOWN.tolist(),
-        "led": low_end.LED,
+        "half_width": margins.REACH,
+        "below_ratios": low_end.DOWN.tolist(),
+        "extrapolated_below": low_end.LED,
         "far_below": low_end.SMALL,
         "agree": low_end.AGREE,
         "large": low_end.LARGE,
@@ -106,9 +106,9 @@ def _constants() -> dict[str, Any]:
         "same": stability.SAME,
         "least_damping": holes.LEAST_DAMPING,
         "poor_damping": holes.POOR_DAMPING,
-        "reach_95": obstacles.REACH_95,
+        "radius_95": obstacles.REACH_95,
         "wrong": obstacles.WRONG,
-        "strays": obstacles.STRAYS,
+        "uncertain_ratio": obstacles.STRAYS,
         "on_it": obstacles.ON_IT,
         "between": dense.BETWEEN,
         "fewest": dense.FEWEST,
@@ -121,8 +121,8 @@ def _constants() -> dict[str, Any]:
         "most": between.MOST,
         "wide": between.WIDE,
         "bulge": between.BULGE,
-        "aside": between.ASIDE,
-        "along": between.ALONG.tolist(),
+        "neighbour_lines": between.ASIDE,
+        "path_half_widths": between.ALONG.tolist(),
         "places": PLACES.tolist(),
         "sharpest": sampling.SHARPEST,
         "fit_deg": stability.FIT_DEG,
@@ -152,7 +152,7 @@ def _detuning_constants() -> dict[str, Any]:
         "finest_step": detuning.FINEST_STEP,
         "rounding": detuning.ROUNDING,
         "draws": shifted.DRAWN,
-        "reach": shifted.REACH,
+        "half_width": shifted.REACH,
         "matters": shifted.MATTERS,
         "near": shifted.NEAR.tolist(),
     }
@@ -237,7 +237,7 @@ def controller_from(words: Mapping[str, Any]) -> Controller:
 
 
 def certificate_words(verdict: Verdict) -> dict[str, Any]:
-    """What Python's check says."""
+    """The outcome of Python's check."""
     return {"outcome": verdict.outcome.value}
 
 
@@ -257,7 +257,7 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
         "integrators": loop.integrators,
         "unstable_poles": loop.unstable_poles,
         **_low_end(loop),
-        "beyond": _beyond(loop.beyond),
+        "above_band": _above_band(loop.beyond),
         **_between_lines(loop),
         "resonances": [_resonance(x) for x in resonances(raw) if x.phase is not Phase.UNKNOWN],
         "hidden": [
@@ -287,7 +287,7 @@ def _terms(recipe: Recipe) -> list[dict[str, Any]]:
 
 
 def _low_end(loop: Loop) -> dict[str, Any]:
-    """What fits or small models say of the plant below its first line."""
+    """The plant below its first line by fits or small models."""
     models, below_hz = low_models(loop), low_hz(loop)
     poles = np.zeros(0, dtype=complex) if loop.model is None else stability.unstable_or_undamped(loop.model)
     return {
@@ -296,7 +296,7 @@ def _low_end(loop: Loop) -> dict[str, Any]:
         "fitted_poles": [_pair(p) for p in poles],
         "below_f": packed(below_hz),
         "below": [packed(model.response(below_hz)) for model in models],
-        "down": [_down(float(loop.frequency_hz[0]) * low_end.DOWN, model) for model in models],
+        "extrapolated": [_extrapolated(float(loop.frequency_hz[0]) * low_end.DOWN, model) for model in models],
         "simple": any(low_end.is_simple(model) for model in models),
         "order": [*low_end.low_order(loop.raw or loop.plant), low_end.room_of(loop.raw or loop.plant)],
         "gaps": [_gap(gap) for gap in holes.gaps_of(loop)],
@@ -312,20 +312,17 @@ def _gap(gap: holes.Gap) -> dict[str, Any]:
     }
 
 
-def _down(f: Array, model: LowModel) -> dict[str, Any]:
-    return {
-        "P": packed(model.response(f)),
-        "slopes": packed(model.slopes(f)),
-        "influence": packed(model.influence),
-        "lines": model.lines,
-    }
+def _extrapolated(f: Array, model: LowModel) -> dict[str, Any]:
+    words = {"P": packed(model.response(f)), "slopes": packed(model.slopes(f))}
+    return words | {"influence": packed(model.influence), "lines": model.lines}
 
 
-def _beyond(frf: FRF | None) -> dict[str, Any] | None:
+def _above_band(frf: FRF | None) -> dict[str, Any] | None:
     if frf is None:
         return None
-    known = (known_above(frf) & (reach_above(frf) < np.abs(frf.siso))).tolist()
-    return {"f": packed(frf.frequency_hz), "P": packed(frf.siso), "reach": packed(reach_above(frf)), "known": known}
+    radius = reach_above(frf)
+    known = (known_above(frf) & (radius < np.abs(frf.siso))).tolist()
+    return {"f": packed(frf.frequency_hz), "P": packed(frf.siso), "half_width": packed(radius), "known": known}
 
 
 def _resonance(one: Resonance) -> dict[str, Any]:
@@ -340,32 +337,32 @@ def _resonance(one: Resonance) -> dict[str, Any]:
 
 def _between_lines(loop: Loop) -> dict[str, Any]:
     """Resonances close together, fitted, and where lines scatter: of the plant alone."""
-    crowds = [_crowd(loop, stretch) for stretch in obstacles.stretches_in(loop)]
-    rough, scatter = obstacles.rough_in(loop)
-    tells = scatter.any() or any(one["left"] == Residual.SCATTER.value for one in crowds)
+    clusters = [_cluster(loop, stretch) for stretch in obstacles.stretches_in(loop)]
+    residual, scatter = obstacles.rough_in(loop)
+    tells = scatter.any() or any(one["left"] == Residual.SCATTER.value for one in clusters)
     return {
-        "crowds": crowds,
+        "clusters": clusters,
         "scattered": np.flatnonzero(scatter).tolist(),
-        "rough": packed(rough) if tells else None,
+        "interpolation_residual": packed(residual) if tells else None,
     }
 
 
-def _crowd(loop: Loop, stretch: ClusterBand) -> dict[str, Any]:
+def _cluster(loop: Loop, stretch: ClusterBand) -> dict[str, Any]:
     """A stretch of lines and the ways in which poles explain it: those as complex64, as they are kept."""
-    crowd = obstacles.crowd_in(loop, stretch)
+    cluster = obstacles.crowd_in(loop, stretch)
     return {
         "low": stretch.low,
         "high": stretch.high,
-        "strays": obstacles.strays_in(loop, stretch),
-        "left": crowd.left.value,
-        "delay_s": crowd.delay_s,
-        "power": _pair(crowd.window.power[0]),
-        "middle_hz": float(crowd.window.middle[0]),
-        "poles": _singles(crowd.pole_hz),
-        "residues": _singles(crowd.residue),
-        "polynomials": _singles(crowd.polynomial),
-        "ways": len(crowd.pole_hz),
-        "hidden": packed(crowd.hidden),
+        "polynomial_residual": obstacles.strays_in(loop, stretch),
+        "left": cluster.left.value,
+        "delay_s": cluster.delay_s,
+        "power": _pair(cluster.window.power[0]),
+        "middle_hz": float(cluster.window.middle[0]),
+        "poles": _singles(cluster.pole_hz),
+        "residues": _singles(cluster.residue),
+        "polynomials": _singles(cluster.polynomial),
+        "ways": len(cluster.pole_hz),
+        "hidden": packed(cluster.hidden),
     }
 
 

@@ -25,14 +25,14 @@ def loop_and_trace():
     return loops[0], loop_traces(loops, [frf])[0]
 
 
-def test_relative_reaches_are_those_of_propagated_covariances(loop_and_trace) -> None:
+def test_relative_half_widths_are_those_of_propagated_covariances(loop_and_trace) -> None:
     """First order by hand here, by the algebra of matrices there."""
     loop, trace = loop_and_trace
     closed = feedback(loop.plant, loop.controller, connect="order")
     pairs = (("P", loop.plant), ("S", closed.S_o), ("T", closed.T_o), ("S", closed.KS), ("T", closed.PS))
     for name, same in pairs:
         np.testing.assert_allclose(
-            db(np.abs(same.siso) * (1.0 + trace.reach[name])), magnitude_band_db(same)[1], atol=1e-9
+            db(np.abs(same.siso) * (1.0 + trace.half_width[name])), magnitude_band_db(same)[1], atol=1e-9
         )
 
 

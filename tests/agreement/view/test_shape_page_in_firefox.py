@@ -77,7 +77,7 @@ def test_numbers_are_typed_and_stepped_and_the_file_is_saved(page: Page, browser
     page.until("location.hash.slice(1) === loopshape.address")
     file = browser.downloads / "controller.toml"
     page.click("download the controller")
-    page.until("said.textContent.startsWith('controller.toml downloaded')")
+    page.until("message.textContent.startsWith('controller.toml downloaded')")
     for _ in range(200):
         if file.exists() and file.read_bytes().endswith(b"]\n"):
             break
@@ -90,5 +90,5 @@ def test_a_broken_file_is_refused_in_words(page: Page, tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text("gain = ")
     before = state(page)["controller"]
     page.give("#file", tmp_path / "bad.toml")
-    page.until("said.textContent.includes('bad.toml was not read: line 1: a value is missing')")
+    page.until("message.textContent.includes('bad.toml was not read: line 1: a value is missing')")
     assert state(page)["controller"] == before

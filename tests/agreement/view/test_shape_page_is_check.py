@@ -65,7 +65,7 @@ def differences(verdict: ls.Verdict, found: dict[str, Any], without: tuple[str, 
     others = [(row["quantity"], row["outcome"]) for row in found["rows"]]
     out += [] if rows == others else [f"{rows} and {others}"]
     for line, row in zip(verdict.lines, found["rows"], strict=False):
-        pairs = [(line.required, row["wished"]), (line.slack, row["spare"])]
+        pairs = [(line.required, row["required"]), (line.slack, row["slack"])]
         out += [] if max(far(a, b) for a, b in pairs) < AGREES else [f"{line.quantity}: {pairs}"]
     return out + ([] if verdict.outcome == found["outcome"] else [f"{verdict.outcome} and {found['outcome']}"])
 
@@ -82,7 +82,7 @@ def detuning_differences(m: ls.Margins, found: dict[str, Any] | None) -> list[st
         for way in ("up", "down"):
             mine, its = getattr(one, way), other[way]
             pairs = [(mine.percent, its["percent"]), *zip(mine.interval_percent, its["interval"], strict=True)]
-            same = (mine.breaks, mine.beyond) == (its["breaks"], its["beyond"])
+            same = (mine.breaks, mine.beyond) == (its["breaks"], its["is_bound"])
             out += [] if same and max(far(a, b) for a, b in pairs) < AGREES else [f"{way} {mine} and {its}"]
     return out
 
@@ -123,7 +123,7 @@ def test_resonances_close_together_are_followed_as_check_follows_them(name: str,
     made = [ls.controller(ls.gain(g), rate_hz=shaped_cases.RATE_HZ, loop="x") for g in (1.0, 0.5, 0.1, 0.03)]
     made += [ls.controller(ls.gain(2.0), ls.notch(14.1, 0.05, 0.5), rate_hz=shaped_cases.RATE_HZ, loop="x")]
     page, verdicts = page_on(context, tmp_path, [P], made[0], R), [ls.check([P], C, R) for C in made]
-    assert page.evaluate("loopshape.loop.points[0].crowds.length") == 1
+    assert page.evaluate("loopshape.loop.points[0].clusters.length") == 1
     assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * len(made)
     page.close()
     assert len({m.stable for v in verdicts for m in v.margins.values()}) > 1

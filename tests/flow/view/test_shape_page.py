@@ -163,8 +163,8 @@ def test_a_broken_file_is_refused_in_words(text: str, words: str, still: Any, tm
     (tmp_path / "bad.toml").write_text(text)
     before = state(still)["controller"]
     still.set_input_files("#file", tmp_path / "bad.toml")
-    still.locator("#said", has_text=words).wait_for()
-    assert "bad.toml was not read" in still.locator("#said").inner_text()
+    still.locator("#message", has_text=words).wait_for()
+    assert "bad.toml was not read" in still.locator("#message").inner_text()
     assert state(still)["controller"] == before
 
 
@@ -356,7 +356,7 @@ def test_masks_limits_of_single_points_pid_and_sections_are_shown_and_kept(brows
     (tmp_path / "bad.toml").write_text(text)
     page.set_input_files("#file", tmp_path / "bad.toml")
     page.locator(
-        "#said", has_text="the mask on |S| are two pairs [Hz, dB] at least, with frequencies that rise"
+        "#message", has_text="the mask on |S| are two pairs [Hz, dB] at least, with frequencies that rise"
     ).wait_for()
     page.get_by_role("button", name="remove the requirement |S| over its mask").click()
     page_in_browser.until(page, "loopshape.design.requirements.masks.length === 0")

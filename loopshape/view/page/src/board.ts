@@ -1,16 +1,16 @@
 // The plots of one loop in a report: curves of all operating points with their 95 % bands, linked by one marked frequency.
 
 import { button, el } from "./dom";
-import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./draw/guides";
+import { limitSizes, phaseGuides, sizeGuides, type RequiredLimits } from "./draw/guides";
 import { coloursOf, Plot, type Axis, type Curve, type Style } from "./draw/plot";
-import { magnitudeWords, phaseWords, viewOf, type Found, type Ring, type View } from "./draw/reported";
+import { magnitudeWords, phaseWords, viewOf, type NearestPoint, type Ring, type View } from "./draw/reported";
 import type { Point } from "./draw/reported";
 import { frequencyAxis, interpolated, nearestLine, nicholsAxis, nicholsChart, phaseAxis, sizeAxis, type Response } from "./draw/views";
 import { Zoom } from "./draw/zoom";
 
 export interface Loop {
   points: Point[];
-  wished: Wished;
+  required: RequiredLimits;
   rings: Ring[];
   /** Of more operating points than these the band shows of the marked one alone. */
   bandsAtOnce: number;
@@ -35,7 +35,7 @@ export class Board {
   private readonly zoom = new Zoom((plot) => this.followers(plot), () => this.draw());
   private readonly entries: HTMLElement[];
   private looks: { colour: string; dash: number[] }[] = [];
-  private at: Found | null = null;
+  private at: NearestPoint | null = null;
   private front: number | null = null;
   private waits = false;
 
@@ -58,12 +58,12 @@ export class Board {
   }
 
   private axesOf({ name, kind, views }: Panel, label: string): [Axis, Axis] {
-    const { points, wished } = this.loop;
+    const { points, required } = this.loop;
     if (kind === "nichols") return [{ low: -360, high: 0, log: false, label: "phase of L [deg]", ticks: 45 }, nicholsAxis(points)];
     const curves = views.map(({ places }) => places.y as Float64Array);
     const hz = frequencyAxis(points, "frequency [Hz]");
     if (kind === "deg") return [hz, { ...phaseAxis(curves), label }];
-    return [hz, { ...sizeAxis([...curves, limitSizes(wished, name)], name, name === "P" || name === "L" ? 100 : 60), label }];
+    return [hz, { ...sizeAxis([...curves, limitSizes(required, name)], name, name === "P" || name === "L" ? 100 : 60), label }];
   }
 
   private followers(plot: Plot): Plot[] {
@@ -89,12 +89,12 @@ export class Board {
 
   private drawPanel(panel: Panel): void {
     const { plot, kind, name, views } = panel;
-    const { wished } = this.loop;
+    const { required } = this.loop;
     plot.colours = coloursOf(plot.canvas);
     plot.begin();
-    if (kind === "nichols") nicholsChart(plot, wished);
-    else if (kind === "db") sizeGuides(plot, name, wished);
-    else if (name === "L") phaseGuides(plot, wished);
+    if (kind === "nichols") nicholsChart(plot, required);
+    else if (kind === "db") sizeGuides(plot, name, required);
+    else if (name === "L") phaseGuides(plot, required);
     const shown = views.map((_, k) => k).filter((k) => this.visible[k]);
     for (const k of shown) this.drawBand(plot, views[k], k);
     for (const k of shown) plot.points(views[k].dots, this.looks[k].colour, 0.35 * this.dimmed(k));
@@ -137,7 +137,7 @@ export class Board {
   }
 
   /** Marks one line of one operating point in every plot; `here` is the plot that gets the note. */
-  private look(found: Found | null, here: Panel | null): void {
+  private look(found: NearestPoint | null, here: Panel | null): void {
     this.at = found;
     this.front = found?.point ?? null;
     this.readout.hidden = this.tip.hidden = found === null;
@@ -148,18 +148,18 @@ export class Board {
     this.draw();
   }
 
-  private values({ point: k, line }: Found): HTMLElement[] {
+  private values({ point: k, line }: NearestPoint): HTMLElement[] {
     const point = this.loop.points[k];
     const head = el("span", {}, el("b", {}, point.name), ` ${point.label} at `, el("b", {}, `${shownHz(point.f[line])} Hz`));
     const values = SHOWN.filter((name) => name === "P" || point.L.re.length).map((name) => {
       const phase = name === "P" || name === "L" ? `, ${phaseWords(point, name, line)}` : "";
       return el("span", {}, el("b", {}, `|${name}| `), magnitudeWords(point, name, line) + phase);
     });
-    return [head, ...values, el("small", {}, "in brackets the 95 % reach of this line")];
+    return [head, ...values, el("small", {}, "in brackets the 95 % half width at this frequency")];
   }
 
   /** A note beside the mark that covers neither it nor the critical point. */
-  private note({ plot, views, kind }: Panel, { point: k, line }: Found): void {
+  private note({ plot, views, kind }: Panel, { point: k, line }: NearestPoint): void {
     const point = this.loop.points[k];
     const words = [point.label ? `${point.name}: ${point.label}` : point.name, `${shownHz(point.f[line])} Hz`, ...views[k].words(line)];
     this.tip.replaceChildren(...words.map((one) => el("div", {}, one)));
@@ -196,7 +196,7 @@ export class Board {
   }
 
   /** The line of all visible operating points that lies nearest to a place on a plot. */
-  private nearest({ plot, views }: Panel, px: number, py: number): Found | null {
+  private nearest({ plot, views }: Panel, px: number, py: number): NearestPoint | null {
     const found = views.map(({ places }, point) => {
       const [line, far] = this.visible[point] ? plot.nearest(places, px, py) : [0, Infinity];
       return { point, line, far };
@@ -225,7 +225,7 @@ export class Board {
   }
 
   /** Moves the mark along a curve, or across to the next operating point at the nearest frequency. */
-  private step(panel: Panel, along: number, across: number): void {
+  private step(panel: Panel, lines: number, across: number): void {
     const { points } = this.loop;
     const shown = points.map((_, k) => k).filter((k) => this.visible[k]);
     if (!shown.length) return;
@@ -233,7 +233,7 @@ export class Board {
     const point = across ? shown[(Math.max(0, shown.indexOf(now.point)) + across + shown.length) % shown.length] : now.point;
     const { f } = points[point];
     const line = point === now.point ? now.line : nearestLine(f, points[now.point].f[now.line]);
-    const moved = this.at ? Math.min(Math.max(line + along, 0), f.length - 1) : line;
+    const moved = this.at ? Math.min(Math.max(line + lines, 0), f.length - 1) : line;
     this.look({ point, line: moved }, panel);
     panel.plot.bring(this.markOn(panel) as [number, number]);
     this.zoom.link(panel.plot);

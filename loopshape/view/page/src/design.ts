@@ -162,7 +162,7 @@ function loopTables(table: Table, format: string): Table[] {
   return loops.map((loop) => (typeof loop === "object" && !Array.isArray(loop) ? loop : refuse("a [[loop]] is a table")));
 }
 
-/** The controller of a loop in a file; an Error says in words what is wrong with it. */
+/** The controller of a loop in a file; an Error has the reason. */
 function readController(payload: Payload, loop: PlantLoop, table: Table): Controller {
   const own = loopTables(table, "loopshape-controllers/1").find((one) => one.name === loop.name);
   if (!own) return refuse(`the file has no controller of loop ${loop.name}`);

@@ -15,7 +15,7 @@ import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
 import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
-import { Engine, type Found } from "./loop/verdict";
+import { Engine, type Verdict } from "./loop/verdict";
 import type { Trace } from "./draw/views";
 import { DETUNED, Pool, STAGES, workHere, type Stage, type Worked } from "./work";
 import { worstOf } from "./loop/worst";
@@ -27,11 +27,11 @@ class Page implements Guest {
   private others: (Design | null)[];
   private histories: History[];
   private current = 0;
-  private found: Found | null = null;
+  private found: Verdict | null = null;
   private settled = false;
   /** Whether detuning margins are known of what is shown. */
   private detuned = false;
-  private otherFound: Found | null = null;
+  private otherVerdict: Verdict | null = null;
   /** The last answers of the workers, of this design or of one of a moment ago. */
   private late: Late = {};
   private traces: Trace[] = [];
@@ -41,7 +41,7 @@ class Page implements Guest {
   private blocks!: BlockList;
   private screen!: Screen;
   private readonly pool: Pool;
-  private readonly said = el("p", { id: "said", role: "status", "aria-live": "polite" });
+  private readonly message = el("p", { id: "message", role: "status", "aria-live": "polite" });
   private readonly verdict = el("span", { id: "verdict-badge" });
   private readonly certificate = el("p", { class: "quiet", id: "certificate" });
   private readonly closed = el("p", { id: "closed", "aria-live": "polite" });
@@ -116,7 +116,7 @@ class Page implements Guest {
     this.screen = new Screen(names, {
       design: () => this.design,
       controller: () => this.controller,
-      wished: (point) => ({
+      required: (point) => ({
         requirements: requirementsAt(this.design.requirements, this.loop.points[point].operating_point),
         every: this.design.requirements,
         limits: this.payload.limits,
@@ -130,7 +130,7 @@ class Page implements Guest {
     this.root.replaceChildren(
       this.header(),
       this.closed,
-      this.said,
+      this.message,
       el("main", {},
         el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate, this.notes()),
         el("section", { id: "plots", "aria-label": "Plots" }, this.screen.element),
@@ -175,7 +175,7 @@ class Page implements Guest {
     ];
   }
 
-  /** Asks the server that gave this page; what it answers, or null after an error was said. */
+  /** Asks the server that gave this page; what it answers, or null after an error was shown. */
   private async serverSays(what: string): Promise<Record<string, unknown> | null> {
     const on = this.design.blocks.filter((block) => !block.off);
     const controllers = this.designs.map((design) => this.running(design));
@@ -258,7 +258,7 @@ class Page implements Guest {
   }
 
   say(words: string): void {
-    this.said.textContent = words;
+    this.message.textContent = words;
   }
 
   private get controller(): Controller {
@@ -329,7 +329,7 @@ class Page implements Guest {
 
   private keep(): void {
     this.others[this.current] = structuredClone(this.design);
-    this.otherFound = this.settled ? this.found : null;
+    this.otherVerdict = this.settled ? this.found : null;
     this.say("Kept as B: drawn dashed, its worst cases stand beside yours.");
     this.refresh();
   }
@@ -341,13 +341,13 @@ class Page implements Guest {
       return;
     }
     this.others[this.current] = this.design;
-    this.otherFound = this.settled ? this.found : null;
+    this.otherVerdict = this.settled ? this.found : null;
     this.set(other, false);
   }
 
   private switchTo(loop: number): void {
     this.current = loop;
-    this.otherFound = null;
+    this.otherVerdict = null;
     this.late = {};
     this.build();
     this.sizes.disconnect();
@@ -410,7 +410,7 @@ class Page implements Guest {
     const engine = this.engines[this.current];
     const { requirements } = this.design;
     if (!this.settled) this.found = engine.verdict(requirements, engine.estimates(controller, requirements));
-    this.worst = worstOf(this.found as Found);
+    this.worst = worstOf(this.found as Verdict);
     this.pool.ask({ loop: this.current, controller, requirements });
     this.show();
     this.timings.picture.push(performance.now() - this.changedAt);
@@ -474,7 +474,7 @@ class Page implements Guest {
   }
 
   private show(): void {
-    const found = this.found as Found;
+    const found = this.found as Verdict;
     const asked = found.rows.length > 0;
     this.verdict.replaceChildren(badge(this.decided ? found.outcome : null));
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
@@ -497,7 +497,7 @@ class Page implements Guest {
 
   private tabulate(): void {
     const { settled, detuned, late } = this;
-    if (this.found) this.table.show(this.design.requirements, this.found, { settled, detuned, late }, this.otherFound);
+    if (this.found) this.table.show(this.design.requirements, this.found, { settled, detuned, late }, this.otherVerdict);
   }
 
   private draw(): void {
@@ -507,7 +507,7 @@ class Page implements Guest {
   }
 
   /** What is found of a controller, as `check` finds it: for scripts and tests. */
-  async ask(controller: Controller): Promise<Found> {
+  async ask(controller: Controller): Promise<Verdict> {
     const engine = this.engines[this.current];
     const { requirements } = this.design;
     const margins = Array.from({ length: engine.size }, (_, k) =>
@@ -522,8 +522,8 @@ class Page implements Guest {
   }
 
   get state(): { settled: boolean; detuned: boolean; outcome: string | null; rows: string[]; controller: Controller } {
-    const rows = (this.found?.rows ?? []).map((row) => `${row.quantity} ${shown(row.found)} ${row.outcome}`);
-    const outcome = this.decided ? (this.found as Found).outcome : null;
+    const rows = (this.found?.rows ?? []).map((row) => `${row.quantity} ${shown(row.value)} ${row.outcome}`);
+    const outcome = this.decided ? (this.found as Verdict).outcome : null;
     return { settled: this.settled, detuned: this.detuned, outcome, rows, controller: this.controller };
   }
 }

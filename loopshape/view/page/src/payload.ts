@@ -16,8 +16,8 @@ export interface Limit {
 
 /** Numbers of the Python modules, under their names there. */
 export interface Constants {
-  reach: number;
-  reach_95: number;
+  half_width: number;
+  radius_95: number;
   between: number;
   fewest: number;
   lowest: number;
@@ -30,10 +30,10 @@ export interface Constants {
   wide: number;
   sharpest: number;
   bulge: number;
-  aside: number;
+  neighbour_lines: number;
   fit_deg: number;
   wrong: number;
-  strays: number;
+  uncertain_ratio: number;
   on_it: number;
   /** Of resonances close together and of lines that scatter (Python: loop/obstacles.py, loop/between.py). */
   peak: number;
@@ -45,11 +45,11 @@ export interface Constants {
   hole_turn: number;
   hole_far: number;
   places: number[];
-  along: number[];
+  path_half_widths: number[];
   draws: number;
-  down: number[];
+  below_ratios: number[];
   /** Of what lies below the first line, and of holes (Python: loop/low_end.py, loop/holes.py). */
-  led: number;
+  extrapolated_below: number;
   agree: number;
   large: number;
   at_zero: number;
@@ -68,7 +68,7 @@ export interface Constants {
     finest_step: number;
     rounding: number;
     draws: number;
-    reach: number;
+    half_width: number;
     matters: number;
     near: number[];
   };
@@ -101,14 +101,14 @@ interface RawPoint {
   fitted_poles: [number, number][];
   below_f: string;
   below: string[];
-  down: { P: string; slopes: string; influence: string; lines: number }[];
+  extrapolated: { P: string; slopes: string; influence: string; lines: number }[];
   simple: boolean;
   order: [number, number, number];
   gaps: Gap[];
-  beyond: { f: string; P: string; reach: string; known: boolean[] } | null;
-  crowds: (Omit<Crowd, "poles" | "residues" | "polynomials" | "hidden"> & Record<"poles" | "residues" | "polynomials" | "hidden", string>)[];
+  above_band: { f: string; P: string; half_width: string; known: boolean[] } | null;
+  clusters: (Omit<ModeCluster, "poles" | "residues" | "polynomials" | "hidden"> & Record<"poles" | "residues" | "polynomials" | "hidden", string>)[];
   scattered: number[];
-  rough: string | null;
+  interpolation_residual: string | null;
   resonances: Seen[];
   fit: FitModel | null;
   hidden: { low_hz: number; high_hz: number; centre: string; width: string; residue: string }[];
@@ -134,11 +134,11 @@ export interface Seen {
 }
 
 /** Lines `low` .. `high` that resonances close together explain, in each of some `ways`: poles over a polynomial in ln f. */
-export interface Crowd {
+export interface ModeCluster {
   low: number;
   high: number;
-  /** How far its lines leave a polynomial at most. */
-  strays: number;
+  /** Largest residual of its lines from a polynomial. */
+  polynomial_residual: number;
   left: "noise" | "more" | "scatter";
   delay_s: number;
   power: [number, number];
@@ -160,7 +160,7 @@ export interface Term {
 }
 
 /** A small model's response below the first line, and what errors of the lowest lines do to its coefficients. */
-export interface Down {
+export interface ExtrapolatedModel {
   P: Complex;
   slopes: Complex;
   influence: Real;
@@ -201,21 +201,21 @@ export interface Point {
   fitted_poles: [number, number][];
   below_f: Real;
   below: Complex[];
-  down: Down[];
+  extrapolated: ExtrapolatedModel[];
   simple: boolean;
   order: [number, number, number];
   gaps: Gap[];
-  beyond: { f: Real; P: Complex; reach: Real; known: boolean[] } | null;
-  crowds: Crowd[];
+  above_band: { f: Real; P: Complex; half_width: Real; known: boolean[] } | null;
+  clusters: ModeCluster[];
   /** Gaps about which lines scatter, and how far from its lines P may come in each gap, where that matters. */
   scattered: number[];
-  rough: Real | null;
+  interpolation_residual: Real | null;
   resonances: Seen[];
   fit: FitModel | null;
   hidden: Hidden[];
 }
 
-/** What Python's check said of the controller that the page was made with. */
+/** Python's verdict on the controller that the page was made with. */
 export interface Certificate {
   outcome: string;
 }
@@ -277,21 +277,21 @@ function pointOf(raw: RawPoint): Point {
     below: raw.below.map(complex),
     fitted_f: realOf(raw.fitted_f),
     fitted: complex(raw.fitted),
-    down: raw.down.map((x) => ({
+    extrapolated: raw.extrapolated.map((x) => ({
       P: complex(x.P),
       slopes: complex(x.slopes),
       influence: realOf(x.influence),
       lines: x.lines,
     })),
-    beyond: raw.beyond && { f: realOf(raw.beyond.f), P: complex(raw.beyond.P), reach: realOf(raw.beyond.reach), known: raw.beyond.known },
-    crowds: raw.crowds.map((x) => ({
+    above_band: raw.above_band && { f: realOf(raw.above_band.f), P: complex(raw.above_band.P), half_width: realOf(raw.above_band.half_width), known: raw.above_band.known },
+    clusters: raw.clusters.map((x) => ({
       ...x,
       poles: singlesOf(x.poles),
       residues: singlesOf(x.residues),
       polynomials: singlesOf(x.polynomials),
       hidden: realOf(x.hidden),
     })),
-    rough: raw.rough === null ? null : realOf(raw.rough),
+    interpolation_residual: raw.interpolation_residual === null ? null : realOf(raw.interpolation_residual),
     hidden: raw.hidden.map((x) => ({
       ...x,
       centre: realOf(x.centre),

@@ -10,8 +10,8 @@ const root = document.documentElement;
 function loopsOf(raw: RawReport): Loop[] {
   return raw.loops.map(({ points, requirements, rings }) => {
     const every = requirements ?? ({ loop: "" } as Requirements);
-    const wished = { requirements: every, every, limits: raw.limits };
-    return { points: points.map(pointOf), wished, rings, bandsAtOnce: raw.bands_at_once };
+    const required = { requirements: every, every, limits: raw.limits };
+    return { points: points.map(pointOf), required, rings, bandsAtOnce: raw.bands_at_once };
   });
 }
 

@@ -5,7 +5,7 @@ import type { Controller } from "./numbers/controller";
 import type { Design, DesignBlock } from "./design";
 import { el, shown } from "./dom";
 import { dragged, handlesOf, widened, type Handle } from "./draw/handles";
-import { limitSizes, phaseGuides, sizeGuides, type Wished } from "./draw/guides";
+import { limitSizes, phaseGuides, sizeGuides, type RequiredLimits } from "./draw/guides";
 import { axisCrossings, unitCrossings } from "./loop/margins";
 import type { FitModel } from "./payload";
 import { coloursOf, Plot, type Axis } from "./draw/plot";
@@ -20,7 +20,7 @@ export interface Asked {
   design: () => Design;
   controller: () => Controller;
   /** What is required at one operating point. */
-  wished: (point: number) => Wished;
+  required: (point: number) => RequiredLimits;
   change: (blocks: DesignBlock[], goesOn: boolean) => void;
   ended: () => void;
   crossover: () => number;
@@ -174,7 +174,7 @@ export class Screen {
     const [sizes, phases] = [responses.map(sizeDb), responses.map(phaseDeg)];
     if (!this.hold) {
       // axes stand still while something is dragged on them
-      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis([...sizes, limitSizes(this.wished, this.shown)], this.shown));
+      this.size.show(frequencyAxis(this.traces, this.stepping ? "frequency [Hz]" : ""), sizeAxis([...sizes, limitSizes(this.required, this.shown)], this.shown));
       this.phase.show(frequencyAxis(this.traces, "frequency [Hz]"), phaseAxis(phases));
     }
     for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
@@ -232,14 +232,14 @@ export class Screen {
     return styleOf(plot, k, this.worst, this.chosen, this.traces.length === 1);
   }
 
-  private get wished(): Wished {
-    return this.asked.wished(this.front);
+  private get required(): RequiredLimits {
+    return this.asked.required(this.front);
   }
 
   /** 0 dB, -180 degrees, and limits of the response that is shown. */
   private guides(plot: Plot): void {
-    if (plot === this.size) sizeGuides(plot, this.shown, this.wished);
-    else if (this.shown === "L") phaseGuides(plot, this.wished);
+    if (plot === this.size) sizeGuides(plot, this.shown, this.required);
+    else if (this.shown === "L") phaseGuides(plot, this.required);
   }
 
   /** Crossovers, crossings of -180 degrees, and the margins between them and the guides, of the point in front. */
@@ -294,7 +294,7 @@ export class Screen {
       plot.show(LINEAR(-3, 1.5, "Re L", 0.5), LINEAR(-2.25 * tall, 2.25 * tall, "Im L", 0.5));
     }
     plot.begin();
-    (isNichols ? nicholsChart : nyquistChart)(plot, this.wished);
+    (isNichols ? nicholsChart : nyquistChart)(plot, this.required);
     const curveOf = ({ L }: Trace) => (isNichols ? nicholsCurve(L) : { x: L.re, y: L.im });
     if (this.others && !this.hidden.has(this.front)) {
       plot.curve(curveOf(this.others[this.front]), { colour: plot.colours.other, width: 2, dash: [7, 4] });
@@ -362,10 +362,10 @@ export class Screen {
     canvas.addEventListener("keydown", (event) => this.key(plot, event));
   }
 
-  private nearest(x: number, y: number, reach = 18): Handle | null {
+  private nearest(x: number, y: number, radius = 18): Handle | null {
     const far = this.handlePlaces.map(({ px, py }) => Math.hypot(px - x, py - y));
     const k = far.indexOf(Math.min(...far));
-    return k >= 0 && far[k] < reach ? this.handlePlaces[k].handle : null;
+    return k >= 0 && far[k] < radius ? this.handlePlaces[k].handle : null;
   }
 
   private taken(event: PointerEvent): Hold | null {

@@ -3,9 +3,9 @@
 import { button, el, focusedIn, numberField, shown } from "./dom";
 import { MASKED, requirementsAt } from "./loop/limits";
 import type { Margins } from "./loop/margins";
-import { STABILITY, worstReach, type Reach } from "./loop/detuning";
+import { STABILITY, worstReading, type DetuningReading } from "./loop/detuning";
 import type { Limit, Requirements } from "./payload";
-import type { Found, Outcome, Row } from "./loop/verdict";
+import type { Verdict, Outcome, Row } from "./loop/verdict";
 import type { Stage } from "./work";
 
 export const OUTCOMES: Record<Outcome, [string, string]> = {
@@ -20,7 +20,7 @@ export function badge(outcome: Outcome | null): HTMLElement {
 }
 
 /** The last that is known beside estimates, of this design or of one of a moment ago. */
-export type Late = Partial<Record<Stage, Found>>;
+export type Late = Partial<Record<Stage, Verdict>>;
 
 /** Whether intervals and stability, and after them detuning margins, are of this design; and the last that are known. */
 export interface Known {
@@ -66,7 +66,7 @@ export class RequirementTable {
   }
 
   /** Rows as asked for now; found numbers of the page's loop, null while nothing is known. */
-  show(requirements: Requirements, found: Found, known: Known, before: Found | null): void {
+  show(requirements: Requirements, found: Verdict, known: Known, before: Verdict | null): void {
     const everywhere = requirementsAt({ ...requirements, at: [] }, {});
     const asked = this.limits.filter((limit) => found.rows.some((row) => row.quantity === limit.name));
     const shape = asked.map(({ name }) => `${name} ${name in everywhere}`).join();
@@ -78,7 +78,7 @@ export class RequirementTable {
       if (!row || !cells) continue;
       const common = everywhere[limit.name];
       if (cells.required && focusedIn(cells.required) !== cells.required) cells.required.value = String(common);
-      cells.own.textContent = row.wished === common ? "" : `${signOf(limit)} ${shown(row.wished)} ${unit(limit)} at this operating point`;
+      cells.own.textContent = row.required === common ? "" : `${signOf(limit)} ${shown(row.required)} ${unit(limit)} at this operating point`;
       const [isKnown, late] = limit.name === DETUNING ? [known.detuned, known.late.detuning] : [known.settled, known.late.intervals];
       this.fill(limit, row, cells, isKnown, rowOf(late, limit), rowOf(before, limit));
     }
@@ -88,7 +88,7 @@ export class RequirementTable {
     this.tellDetuning(known.detuned, known.late);
   }
 
-  /** What the last detuning says, slanted while it is of a design of a moment ago. */
+  /** The last detuning margin, slanted while it is of a design of a moment ago. */
   private tellDetuning(isKnown: boolean, { detuning, resonances }: Late): void {
     this.detuning.textContent = detuning ? this.detuningWords(detuning) : "Detuning margin: computing";
     this.detuning.classList.toggle("late", !isKnown);
@@ -103,10 +103,10 @@ export class RequirementTable {
     cells.row.className = `${row.outcome}${settled ? "" : " pending"}`;
     const known = settled ? row : late;
     const small = known ? intervalWords(known) : "interval follows";
-    const compare = before ? el("span", { class: "other" }, `B: ${shown(before.found)}`) : null;
+    const compare = before ? el("span", { class: "other" }, `B: ${shown(before.value)}`) : null;
     const best = limit.name === DETUNING && known ? known : row;
-    cells.found.replaceChildren(el("b", {}, `${best.beyond ? "≥ " : ""}${shown(best.found)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
-    cells.slack.textContent = shown(row.spare);
+    cells.found.replaceChildren(el("b", {}, `${best.is_bound ? "≥ " : ""}${shown(best.value)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
+    cells.slack.textContent = shown(row.slack);
     const at = row.at_hz === null ? "" : `${shown(row.at_hz)} Hz`;
     const name = this.names[row.point];
     cells.place = [row.point, row.at_hz];
@@ -117,7 +117,7 @@ export class RequirementTable {
     if (row.bound !== null && row.outcome === "undecided") {
       cells.outcome.append(el("small", {}, "decided above the last frequency"));
     }
-    if (Number.isNaN(row.found) && !waits) cells.outcome.append(el("small", {}, "known where stability is decided"));
+    if (Number.isNaN(row.value) && !waits) cells.outcome.append(el("small", {}, "known where stability is decided"));
   }
 
   private rebuild(asked: Limit[], requirements: Requirements): void {
@@ -164,13 +164,13 @@ export class RequirementTable {
   }
 
   /** How far frequencies of the plant may move, and what breaks first, at the operating point that bears least. */
-  private detuningWords({ margins }: Found): string {
-    const each = margins.flatMap((m, k) => (m.detuning ? [{ ...worstReach(m.detuning), interval: m.intervals[DETUNING], k }] : []));
+  private detuningWords({ margins }: Verdict): string {
+    const each = margins.flatMap((m, k) => (m.detuning ? [{ ...worstReading(m.detuning), interval: m.intervals[DETUNING], k }] : []));
     if (!each.length) return "Detuning margin: not known where stability is undecided.";
     const least = each.reduce((a, b) => (b.percent < a.percent ? b : a));
     const ends = least.interval ? ` (95 %: ${shown(least.interval[0])} … ${shown(least.interval[1])})` : "";
     const where = margins.length > 1 ? ` at ${this.names[least.k]}` : "";
-    if (least.beyond) return `Detuning margin: nothing breaks while the plant's frequencies move by ±${shown(least.percent)} %${ends}.`;
+    if (least.is_bound) return `Detuning margin: nothing breaks while the plant's frequencies move by ±${shown(least.percent)} %${ends}.`;
     const label = this.labelOf(least.breaks);
     if (least.percent === 0) return `Detuning margin: 0 %${where}: ${label} is missed at the plant's own frequencies or at the first shift.`;
     return `Detuning margin: ${shown(least.percent)} %${ends}${where}. Farther shifts of the plant's frequencies break first: ${label}.`;
@@ -181,16 +181,16 @@ export class RequirementTable {
   }
 
   /** What resonances leave that move alone, the least first. */
-  private resonanceWords({ margins }: Found): string[] {
-    const each = margins.flatMap((m, k) => (m.detuning?.resonances ?? []).map((one) => ({ ...one, least: worstReach(one), k })));
-    const one = (reach: Reach, sign: string): string => `${sign}${shown(reach.percent)} %${reach.beyond ? " and more" : ` (95 %: ${reach.interval.map(shown).join(" … ")}; then ${this.labelOf(reach.breaks)})`}`;
+  private resonanceWords({ margins }: Verdict): string[] {
+    const each = margins.flatMap((m, k) => (m.detuning?.resonances ?? []).map((one) => ({ ...one, least: worstReading(one), k })));
+    const one = (reading: DetuningReading, sign: string): string => `${sign}${shown(reading.percent)} %${reading.is_bound ? " and more" : ` (95 %: ${reading.interval.map(shown).join(" … ")}; then ${this.labelOf(reading.breaks)})`}`;
     return each.sort((a, b) => a.least.percent - b.least.percent).slice(0, MOST_RESONANCES).map(({ hz, damping, up, down, k }) => {
       const where = margins.length > 1 ? ` at ${this.names[k]}` : "";
       return `Resonance at ${shown(hz)} Hz (damping ${shown(damping)})${where}, moved alone: ${one(up, "+")}, ${one(down, "−")}`;
     });
   }
 
-  private stabilityWords(found: Found): (Node | string)[] {
+  private stabilityWords(found: Verdict): (Node | string)[] {
     const count = found.margins.length;
     if (!found.unstable.length) return [`Closed loop stable at ${count === 1 ? "the" : `all ${count}`} operating point${count === 1 ? "" : "s"}.`];
     return found.unstable.slice(0, 3).map((k) => {
@@ -204,12 +204,12 @@ export class RequirementTable {
 const DETUNING = "detuning_percent";
 const MOST_RESONANCES = 6;
 
-const rowOf = (found: Found | null | undefined, { name }: Limit): Row | null => found?.rows.find((row) => row.quantity === name) ?? null;
+const rowOf = (found: Verdict | null | undefined, { name }: Limit): Row | null => found?.rows.find((row) => row.quantity === name) ?? null;
 
 /** The interval of a row, a bound among its ends. */
-function intervalWords({ interval, bound, found }: Row): string {
+function intervalWords({ interval, bound, value }: Row): string {
   if (interval === null && bound === null) return "no interval";
-  const [low, high] = interval ?? [found, found];
+  const [low, high] = interval ?? [value, value];
   const ends = bound === null ? [low, high] : [Math.min(low, bound), Math.max(high, bound)];
   return `${ends.map(shown).join(" … ")}${bound === null ? "" : " (bound)"}`;
 }

@@ -59,7 +59,7 @@ export function tomlText(top: Record<string, Writable>, tables: Record<string, R
   return `${lines.join("\n")}\n`;
 }
 
-/** Reads TOML; an Error's message says in which line it stops and why. */
+/** Reads TOML; an Error's message has the line where it stops and why. */
 export function readToml(text: string): Table {
   return new Reader(text).file();
 }

@@ -75,9 +75,9 @@ export function workHere(scope: DedicatedWorkerGlobalScope): void {
     let spent = 0;
     for (const stage of DETUNED) {
       for (const one of points) {
-        const begun = performance.now();
+        const start_ms = performance.now();
         one[1] = engine[stage](one[0], task.controller, task.requirements, one[1]);
-        spent += performance.now() - begun;
+        spent += performance.now() - start_ms;
         yield;
       }
       tell(task, stage, points);

@@ -1,20 +1,20 @@
-// What Python puts into a report: curves of operating points, their 95 % reach, and where requirements are worst.
+// What Python puts into a report: curves of operating points, their 95 % half widths, and where requirements are worst.
 
 import { complexOf, db, realOf, times, type Real } from "../numbers/arrays";
 import type { Limit, Requirements } from "../payload";
 import type { Curve } from "./plot";
 import { nicholsCurve, nicholsPlaces, responseOf, sizeDb, type Response, type Trace } from "./views";
 
-type Reach = "P" | "S" | "T";
+type Banded = "P" | "S" | "T";
 
 /** Whose relative error a response has: its own factor on that of P, to first order. */
-const REACH_OF: Record<Response, Reach> = { P: "P", L: "P", C: "P", S: "S", CS: "S", T: "T", PS: "T" };
+const BAND_OF: Record<Response, Banded> = { P: "P", L: "P", C: "P", S: "S", CS: "S", T: "T", PS: "T" };
 
 /** An operating point: its responses on chosen lines, phases that go on over all of them, and P as it was measured. */
 export interface Point extends Trace {
   label: string;
   phase: { P: Real; L: Real };
-  reach: Record<Reach, Real>;
+  half_width: Record<Banded, Real>;
   dots: { f: Real; size: Real; phase: Real };
 }
 
@@ -26,7 +26,7 @@ export interface Ring {
   outcome: string;
 }
 
-export interface Found {
+export interface NearestPoint {
   point: number;
   line: number;
 }
@@ -44,7 +44,7 @@ interface RawPoint {
   P: string;
   C: string;
   phase: { P: string; L: string };
-  reach: Record<Reach, string>;
+  half_width: Record<Banded, string>;
   dots: { f: string; size: string; phase: string };
 }
 
@@ -54,7 +54,7 @@ const each = <K extends string>(texts: Record<K, string>): Record<K, Real> =>
 export function pointOf(raw: RawPoint): Point {
   const [P, C] = [complexOf(raw.P), complexOf(raw.C)];
   const L = C.re.length ? times(P, C) : C;
-  return { ...raw, f: realOf(raw.f), P, C, L, phase: each(raw.phase), reach: each(raw.reach), dots: each(raw.dots) };
+  return { ...raw, f: realOf(raw.f), P, C, L, phase: each(raw.phase), half_width: each(raw.half_width), dots: each(raw.dots) };
 }
 
 /** What a plot shows of one operating point: a place for each line, the curve, ends of its band, and words for a line. */
@@ -77,23 +77,23 @@ export function viewOf(point: Point, name: Response, kind: string): View {
   const { f, dots } = point;
   const [y, measured] = kind === "deg" ? [point.phase[name as "P" | "L"], dots.phase] : [sizeOf(point, name), dots.size];
   const places = { x: f, y };
-  const [low, high] = kind === "deg" ? phaseBand(y, point.reach.P) : sizeBand(y, point.reach[REACH_OF[name]]);
+  const [low, high] = kind === "deg" ? phaseBand(y, point.half_width.P) : sizeBand(y, point.half_width[BAND_OF[name]]);
   const words = (k: number): string[] => [kind === "deg" ? phaseWords(point, name, k) : magnitudeWords(point, name, k)];
   return { places, curve: places, low, high, dots: name === "P" ? { x: dots.f, y: measured } : NOTHING, words };
 }
 
 const sizeOf = (point: Point, name: Response): Real => sizeDb(responseOf(point, name));
 
-/** Ends of the band of a magnitude in dB with a relative reach; the lower is -inf where zero lies within it. */
-function sizeBand(size: Real, reach: Real): [Real, Real] {
-  return [size.map((x, k) => x + db(Math.max(1 - reach[k], 0))), size.map((x, k) => x + db(1 + reach[k]))];
+/** Ends of the band of a magnitude in dB with a relative half width; the lower is -inf where zero lies within it. */
+function sizeBand(size: Real, half_width: Real): [Real, Real] {
+  return [size.map((x, k) => x + db(Math.max(1 - half_width[k], 0))), size.map((x, k) => x + db(1 + half_width[k]))];
 }
 
-/** Reach of a phase in degrees; 180 where zero lies within reach of the response. */
-const phaseReach = (relative: number): number => (relative < 1 ? (Math.asin(relative) * 180) / Math.PI : 180);
+/** Half width of a phase band in degrees; 180 where the band of the response holds zero. */
+const phaseHalfWidth = (relative: number): number => (relative < 1 ? (Math.asin(relative) * 180) / Math.PI : 180);
 
-function phaseBand(phase: Real, reach: Real): [Real, Real] {
-  return [phase.map((x, k) => x - phaseReach(reach[k])), phase.map((x, k) => x + phaseReach(reach[k]))];
+function phaseBand(phase: Real, half_width: Real): [Real, Real] {
+  return [phase.map((x, k) => x - phaseHalfWidth(half_width[k])), phase.map((x, k) => x + phaseHalfWidth(half_width[k]))];
 }
 
 function shown(value: number, decimals: number): string {
@@ -105,7 +105,7 @@ function shown(value: number, decimals: number): string {
 export function magnitudeWords(point: Point, name: Response, k: number): string {
   const z = responseOf({ ...point, ...one(point, k) }, name);
   const size = sizeDb(z);
-  const [low, high] = sizeBand(size, point.reach[REACH_OF[name]].subarray(k, k + 1));
+  const [low, high] = sizeBand(size, point.half_width[BAND_OF[name]].subarray(k, k + 1));
   return Number.isFinite(size[0]) ? `${shown(size[0], 2)} dB (${shown(low[0], 2)} … ${shown(high[0], 2)})` : "–";
 }
 
@@ -114,6 +114,6 @@ function one({ f, P, C, L }: Trace, k: number): Pick<Trace, "f" | "P" | "C" | "L
   return { f: f.subarray(k, k + 1), P: cut(P), C: cut(C), L: cut(L) };
 }
 
-export function phaseWords({ phase, reach }: Point, name: Response, k: number): string {
-  return `${shown(phase[name as "P" | "L"][k], 1)} deg (±${shown(phaseReach(reach.P[k]), 1)})`;
+export function phaseWords({ phase, half_width }: Point, name: Response, k: number): string {
+  return `${shown(phase[name as "P" | "L"][k], 1)} deg (±${shown(phaseHalfWidth(half_width.P[k]), 1)})`;
 }

@@ -1,7 +1,7 @@
 // The plots: Bode of one response, Nichols and Nyquist of L; all operating points, the worst in front.
 
 import { fromDb, placeIn, TWO_PI, type Complex, type Real } from "../numbers/arrays";
-import { closestDb, marginCross, required, type Wished } from "./guides";
+import { closestDb, limitOf, marginCross, type RequiredLimits } from "./guides";
 import { wrappedDown } from "./phase";
 import type { Axis, Curve, Plot, Style } from "./plot";
 import type { Step } from "../numbers/step";
@@ -142,9 +142,9 @@ function contour(of: "S" | "T", level: number): Curve {
 }
 
 /** Chart of a Nichols plot: contours of |S| and |T|, the region that is excluded, and the required margins. */
-export function nicholsChart(plot: Plot, wished: Wished): void {
+export function nicholsChart(plot: Plot, required: RequiredLimits): void {
   const { grid, quiet, limit, ink } = plot.colours;
-  const [closest, peakT] = [closestDb(wished), required(wished, "complementary_peak_db")];
+  const [closest, peakT] = [closestDb(required), limitOf(required, "complementary_peak_db")];
   for (const level of [-12, -6, -3, 1, 3, 6, 12]) {
     plot.curve(contour("T", level), { colour: quiet, width: 0.8, dash: [3, 3], alpha: 0.55 });
   }
@@ -155,7 +155,7 @@ export function nicholsChart(plot: Plot, wished: Wished): void {
   }
   if (peakT !== null && peakT > 0) plot.curve(contour("T", peakT), { colour: limit, width: 1.4, dash: [5, 4] });
   plot.level(0, { colour: grid, width: 1.2 });
-  marginCross(plot, wished);
+  marginCross(plot, required);
   plot.cross(-180, 0, ink);
 }
 
@@ -168,9 +168,9 @@ function contourS(plot: Plot, level: number): void {
   if (isClear && plot.holds(x[k], y[k], 24)) plot.text(`${level} dB`, plot.px(x[k]), plot.py(y[k]) + 4, plot.colours.quiet, "center");
 }
 
-export function nyquistChart(plot: Plot, wished: Wished): void {
+export function nyquistChart(plot: Plot, required: RequiredLimits): void {
   const { quiet, limit, ink } = plot.colours;
-  const closest = closestDb(wished);
+  const closest = closestDb(required);
   const circle = (radius: number, centre: number): Curve => ({
     x: TURNS.map((t) => centre + radius * Math.cos(t)),
     y: TURNS.map((t) => radius * Math.sin(t)),

@@ -3,13 +3,13 @@
 
 import { clip, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
-import { turnsPastCrowd } from "./crowd";
+import { turnsPastCluster } from "./cluster";
 import { narrowAt } from "../numbers/dense";
 import type { Loop } from "./loop";
-import type { Crowd, Hidden } from "../payload";
+import type { ModeCluster, Hidden } from "../payload";
 import { angleOf, chords, turnAlong } from "./turns";
 
-export interface Obstacle {
+export interface UndecidedReason {
   reason: string;
   band_hz: [number, number] | null;
 }
@@ -20,16 +20,16 @@ export const short = (value: number, digits = 3): string => String(Number(value.
 export interface Past {
   turns: number;
   followed: Uint8Array;
-  unclear: Obstacle | null;
+  unclear: UndecidedReason | null;
 }
 
 /** Turns of 1 + L past resonances of the plant that lines and path step over. */
 export function pastResonances(loop: Loop): Past {
   const { point, f } = loop;
   const out: Past = { turns: 0, followed: new Uint8Array(Math.max(f.length - 1, 0)), unclear: null };
-  const near = point.crowds.length || point.rough ? nearest(loop) : null;
-  const crowds = near ? reached(loop, near) : [];
-  for (const crowd of crowds) if (crowd.left !== "scatter") pastCrowd(loop, crowd, out);
+  const near = point.clusters.length || point.interpolation_residual ? nearest(loop) : null;
+  const clusters = near ? reached(loop, near) : [];
+  for (const cluster of clusters) if (cluster.left !== "scatter") pastCluster(loop, cluster, out);
   for (const pole of point.hidden) {
     if (out.followed[clip(placeIn(f, pole.centre[0]) - 1, 0, f.length - 2)]) continue;
     const { first, last, least, most, sure } = turnsPast(loop, pole);
@@ -39,7 +39,7 @@ export function pastResonances(loop: Loop): Past {
     const words = `a resonance between ${short(f[first], 4)} and ${short(f[last], 4)} Hz, sharper than the lines, may or may not encircle -1`;
     out.unclear ??= { reason: `${words}: measure finer there`, band_hz: [f[first], f[last]] };
   }
-  if (near) out.unclear ??= scatters(loop, near, crowds.filter(({ left }) => left === "scatter"));
+  if (near) out.unclear ??= scatters(loop, near, clusters.filter(({ left }) => left === "scatter"));
   return out;
 }
 
@@ -57,21 +57,21 @@ function largerC({ C }: Loop): Real {
 }
 
 /** Resonances close together that might encircle -1. */
-function reached(loop: Loop, near: Real): Crowd[] {
+function reached(loop: Loop, near: Real): ModeCluster[] {
   const { f, point, plant } = loop;
   const { sharpest, peak } = plant.source.constants;
-  const reach = largerC(loop).map((size, k) => size * Math.min((f[k + 1] - f[k]) / (sharpest * f[k]), peak));
-  return point.crowds.filter(({ low, high, strays }) => reach.subarray(low, high).some((size, k) => strays * size > near[low + k]));
+  const largest = largerC(loop).map((size, k) => size * Math.min((f[k + 1] - f[k]) / (sharpest * f[k]), peak));
+  return point.clusters.filter(({ low, high, polynomial_residual }) => largest.subarray(low, high).some((size, k) => polynomial_residual * size > near[low + k]));
 }
 
-function pastCrowd(loop: Loop, crowd: Crowd, out: Past): void {
+function pastCluster(loop: Loop, cluster: ModeCluster, out: Past): void {
   const { f, plant } = loop;
-  const { low, high } = crowd;
-  const { least, most, near, sure } = turnsPastCrowd(crowd, loop);
+  const { low, high } = cluster;
+  const { least, most, near, sure } = turnsPastCluster(cluster, loop);
   out.turns += least;
   out.followed.fill(1, low, high);
   const size = largerC(loop);
-  const hidden = gapsWhere(near, (value, k) => size[low + k] * crowd.hidden[k] > plant.source.constants.sharpest * f[low + k] * value);
+  const hidden = gapsWhere(near, (value, k) => size[low + k] * cluster.hidden[k] > plant.source.constants.sharpest * f[low + k] * value);
   if (hidden.length) out.unclear ??= unexplained(f[low + hidden[0]], f[low + hidden[hidden.length - 1] + 1]);
   else if (least !== most || !sure) {
     const words = `resonances between ${short(f[low], 4)} and ${short(f[high], 4)} Hz, close together, may or may not encircle -1`;
@@ -80,21 +80,21 @@ function pastCrowd(loop: Loop, crowd: Crowd, out: Past): void {
 }
 
 /** Gaps about which lines scatter so near -1 that their error, a disk about them, holds it. */
-function scatters(loop: Loop, near: Real, crowds: Crowd[]): Obstacle | null {
+function scatters(loop: Loop, near: Real, clusters: ModeCluster[]): UndecidedReason | null {
   const { f, point, plant } = loop;
-  const { rough } = point;
-  if (!rough) return null;
-  const scatter = new Uint8Array(rough.length);
+  const { interpolation_residual } = point;
+  if (!interpolation_residual) return null;
+  const scatter = new Uint8Array(interpolation_residual.length);
   for (const k of point.scattered) scatter[k] = 1;
-  for (const { low, high } of crowds) scatter.fill(1, low, high);
-  const gaps = gapsWhere(largerC(loop), (size, k) => scatter[k] > 0 && plant.source.constants.scatter * size * rough[k] > near[k]);
+  for (const { low, high } of clusters) scatter.fill(1, low, high);
+  const gaps = gapsWhere(largerC(loop), (size, k) => scatter[k] > 0 && plant.source.constants.scatter * size * interpolation_residual[k] > near[k]);
   return gaps.length ? unexplained(f[gaps[0]], f[gaps[gaps.length - 1] + 1]) : null;
 }
 
 const gapsWhere = (values: Real, holds: (value: number, k: number) => boolean): number[] =>
   Array.from(values.keys()).filter((k) => holds(values[k], k));
 
-function unexplained(low: number, high: number): Obstacle {
+function unexplained(low: number, high: number): UndecidedReason {
   const reason = `neither noise nor resonances explain the lines between ${short(low, 4)} and ${short(high, 4)} Hz: measure finer there`;
   return { reason, band_hz: [low, high] };
 }
@@ -109,11 +109,11 @@ interface Turns {
 
 function turnsPast(loop: Loop, pole: Hidden): Turns {
   const { point, f, denseL, dense, controller } = loop;
-  const { aside } = loop.plant.source.constants;
+  const { neighbour_lines } = loop.plant.source.constants;
   const low = clip(placeIn(f, pole.low_hz, true) - 1, 0, f.length - 2);
   const high = clip(placeIn(f, pole.high_hz), low + 1, f.length - 1);
-  const first = Math.max(low - aside, 0);
-  const last = Math.min(high + aside, f.length - 1);
+  const first = Math.max(low - neighbour_lines, 0);
+  const last = Math.min(high + neighbour_lines, f.length - 1);
   const own = f.slice(first, last + 1);
   const rest: Complex = { re: point.raw.re.slice(first, last + 1), im: point.raw.im.slice(first, last + 1) };
   for (let k = 0; k < own.length; k++) {
@@ -153,7 +153,7 @@ function pastPole(loop: Loop, pole: Hidden, c: number, own: Real, rest: Complex)
   });
   const [start, end] = [own[0], own[own.length - 1]];
   const even = Array.from({ length: 4 * own.length }, (_, k) => start + ((end - start) * k) / (4 * own.length - 1));
-  const near = loop.plant.source.constants.along.map((place) => zr + Math.abs(zi) * place);
+  const near = loop.plant.source.constants.path_half_widths.map((place) => zr + Math.abs(zi) * place);
   const at = Float64Array.from([...near, ...own, ...even], (x) => clip(x, start, end)).sort();
   const P: Complex = { re: new Float64Array(at.length), im: new Float64Array(at.length) };
   for (let k = 0; k < at.length; k++) {

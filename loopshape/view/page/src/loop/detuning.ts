@@ -12,9 +12,9 @@ import * as kernel from "./reading";
 import { seenResonances, Shiftable, type Moved, type Reading } from "./shifted";
 
 /** The largest shift one way, in per cent, below which all holds; what breaks there, and its 95 % interval. */
-export interface Reach {
+export interface DetuningReading {
   percent: number;
-  beyond: boolean;
+  is_bound: boolean;
   breaks: string;
   interval: Interval;
 }
@@ -23,19 +23,19 @@ export interface Reach {
 export interface MovedResonance {
   hz: number;
   damping: number;
-  up: Reach;
-  down: Reach;
+  up: DetuningReading;
+  down: DetuningReading;
 }
 
 export interface Detuning {
-  up: Reach;
-  down: Reach;
+  up: DetuningReading;
+  down: DetuningReading;
   /** Of single resonances; null while, or where, they are not asked about. */
   resonances: MovedResonance[] | null;
 }
 
 /** The lesser of up and down. */
-export function worstReach({ up, down }: Pick<Detuning, "up" | "down">): Reach {
+export function worstReading({ up, down }: Pick<Detuning, "up" | "down">): DetuningReading {
   const less = down.percent < up.percent || (down.percent === up.percent && down.interval[0] < up.interval[0]);
   return less ? down : up;
 }
@@ -49,7 +49,7 @@ export function withDetuning(loop: Loop, drawn: Plant, m: Margins, requirements:
   return {
     ...m,
     detuning,
-    values: { ...m.values, detuning_percent: worstReach(detuning).percent },
+    values: { ...m.values, detuning_percent: worstReading(detuning).percent },
     intervals: { ...m.intervals, detuning_percent: interval },
   };
 }
@@ -99,7 +99,7 @@ class Search {
   private readonly limits: Limit[];
   private readonly columns: number[];
   private readonly signs: number[];
-  private readonly wished: number[];
+  private readonly required: number[];
   private readonly bias: number[];
   private readonly known: Record<string, number[]>;
   private readonly shifts: number[];
@@ -119,7 +119,7 @@ class Search {
     this.limits = limits.filter(({ name }) => columnOf(name) !== undefined && typeof requirements[name] === "number");
     this.columns = this.limits.map(({ name }) => columnOf(name) as number);
     this.signs = this.limits.map(({ name, sense }) => (sense === "at_least" || name === "sensitivity_peak_db" ? 1 : -1));
-    this.wished = this.limits.map(({ name }) => scaled(name, requirements[name] as number));
+    this.required = this.limits.map(({ name }) => scaled(name, requirements[name] as number));
     const now = this.limits.map(({ name }) => scaled(name, m.values[name]));
     this.bias = this.columns.map((c, k) => finite(unmoved.values[c] - now[k]));
     this.known = { "-1": this.knownReach(m, now, -1), "1": this.knownReach(m, now, 1) };
@@ -140,7 +140,7 @@ class Search {
   private slacks(percent: number, end: End): number[] {
     const { values } = this.moved.reading(percent);
     return this.columns.map((c, k) => {
-      const left = this.signs[k] * (values[c] - this.biasAt(percent, k) - this.wished[k]);
+      const left = this.signs[k] * (values[c] - this.biasAt(percent, k) - this.required[k]);
       return end === 0 || !Number.isFinite(left) ? left : left + this.reachAt(percent, end, k);
     });
   }
@@ -148,8 +148,8 @@ class Search {
   private reachAt(percent: number, end: End, k: number): number {
     const own = this.known[String(end)][k];
     if (!this.closely || percent === 0) return own;
-    const here = this.moved.scatter(percent).reach[this.columns[k]];
-    const before = this.moved.scatter(0).reach[this.columns[k]];
+    const here = this.moved.scatter(percent).half_width[this.columns[k]];
+    const before = this.moved.scatter(0).half_width[this.columns[k]];
     const grown = here / before;
     return Number.isFinite(grown) && before > 0 ? own * grown : own + end * here;
   }
@@ -163,7 +163,7 @@ class Search {
   private stable(percent: number, end: End): boolean {
     const { poles, clear } = this.moved.reading(percent);
     const balanced = poles !== null && poles === this.moved.reading(0).poles;
-    const sure = clear > this.loop.plant.source.constants.reach_95;
+    const sure = clear > this.loop.plant.source.constants.radius_95;
     return end < 0 ? balanced && sure : end > 0 ? balanced || !sure : balanced;
   }
 
@@ -172,28 +172,28 @@ class Search {
   }
 
   /** Up and down. */
-  both(): { up: Reach; down: Reach } {
-    const none: Reach = { percent: 0, beyond: false, breaks: STABILITY, interval: [0, 0] };
+  both(): { up: DetuningReading; down: DetuningReading } {
+    const none: DetuningReading = { percent: 0, is_bound: false, breaks: STABILITY, interval: [0, 0] };
     return this.m.stability?.outcome === "unstable" ? { up: none, down: none } : { up: this.oneWay(1), down: this.oneWay(-1) };
   }
 
   /** The largest shift one way, with its interval. */
-  private oneWay(way: 1 | -1): Reach {
-    const { percent, beyond } = this.firstBreak(way, 0, this.c.searched);
+  private oneWay(way: 1 | -1): DetuningReading {
+    const { percent, is_bound } = this.firstBreak(way, 0, this.c.searched);
     const low = this.firstBreak(way, -1, percent).percent;
     const high = this.firstBreak(way, 1, this.c.searched).percent;
-    const breaks = beyond ? "" : this.what(way, percent);
-    return { percent, beyond, breaks, interval: [Math.min(low, percent), Math.max(high, percent)] };
+    const breaks = is_bound ? "" : this.what(way, percent);
+    return { percent, is_bound, breaks, interval: [Math.min(low, percent), Math.max(high, percent)] };
   }
 
-  private firstBreak(way: 1 | -1, end: End, most: number): { percent: number; beyond: boolean } {
-    if (!this.holds(0, end)) return { percent: 0, beyond: false };
+  private firstBreak(way: 1 | -1, end: End, most: number): { percent: number; is_bound: boolean } {
+    if (!this.holds(0, end)) return { percent: 0, is_bound: false };
     let before = 0;
     for (const shift of [...this.shifts.filter((x) => x < most), most]) {
-      if (!this.holds(way * shift, end)) return { percent: this.between(way, end, before, shift), beyond: false };
+      if (!this.holds(way * shift, end)) return { percent: this.between(way, end, before, shift), is_bound: false };
       before = shift;
     }
-    return { percent: before, beyond: true };
+    return { percent: before, is_bound: true };
   }
 
   /** The shift at which something breaks, between one that holds and one that does not, by secants and halves. */
@@ -223,7 +223,7 @@ class Search {
     return least === Infinity ? 0.5 : least;
   }
 
-  /** What breaks first beyond a shift, at the nearest one that was looked at. */
+  /** What breaks first beyond a shift, at the nearest searched one. */
   private what(way: number, percent: number): string {
     let after = Infinity;
     for (const x of this.moved.readings.keys()) {
@@ -237,7 +237,7 @@ class Search {
 
 const finite = (value: number): number => (Number.isFinite(value) ? value : 0);
 
-/** Shifts in per cent that are looked at, all positive. */
+/** Shifts in per cent that are searched, all positive. */
 function shiftsOf(loop: Loop, seen: Seen[], required: number | null): number[] {
   const c = loop.plant.source.constants.detuning;
   const farther = (near: Real, more: number[]): number[] => [...near, ...more.filter((x) => x > near[near.length - 1] + 1e-9)];

@@ -82,7 +82,7 @@ export function masksOn({ masks = [], at = [] }: Requirements, response: string)
 
 const isPair = (value: unknown): value is [number, number] => Array.isArray(value) && value.length === 2 && value.every(Number.isFinite);
 
-/** A mask of a file; an Error says in words what is wrong with it. */
+/** A mask of a file; an Error has the reason. */
 export function maskOf(given: unknown): Mask {
   const { response, points, sense = "at_most", ...more } = (typeof given === "object" ? given : {}) as Record<string, unknown>;
   if (Object.keys(more).length) throw new Error(`a mask has response, points and perhaps sense, and not ${Object.keys(more).join(", ")}`);
@@ -110,8 +110,8 @@ export function atPointsOf(given: unknown, known: string[]): AtPoints {
   const made = { where: rangesOf(where), ...limits, masks: list(masks).map(maskOf) };
   const wrong = Object.entries(limits).find(([name, value]) => !known.includes(name) || typeof value !== "number");
   if (wrong) throw new Error(`at operating points ${wrong[0]} cannot be limited by ${JSON.stringify(wrong[1])}`);
-  const says = Object.keys(limits).length + made.masks.length;
-  if (!Object.keys(made.where).length || !says) throw new Error("limits at operating points need where and a limit");
+  const count = Object.keys(limits).length + made.masks.length;
+  if (!Object.keys(made.where).length || !count) throw new Error("limits at operating points need where and a limit");
   return made;
 }
 

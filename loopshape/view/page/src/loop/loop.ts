@@ -5,7 +5,7 @@ import { concat, joined, magnitudes, placeIn, rint, times, union, zeros, type Co
 import * as control from "../numbers/controller";
 import type { Controller } from "../numbers/controller";
 import { densified, knownPlant, passingDraws, withBetween, type Dense, type Draws, type Source } from "../numbers/dense";
-import type { Down, Point } from "../payload";
+import type { ExtrapolatedModel, Point } from "../payload";
 
 /** A measured plant with what is known between its lines, with draws or without. */
 export class Plant {
@@ -102,26 +102,26 @@ export function inSight(loop: Loop): boolean {
   const { point, f, L } = loop;
   if (Math.hypot(L.re[0], L.im[0]) >= 1) return true;
   const below = belowLines(loop).map(magnitudes);
-  const { led, far_below } = loop.plant.source.constants;
+  const { extrapolated_below, far_below } = loop.plant.source.constants;
   const largest = below.length ? Math.max(...below.map((size) => Math.max(...size))) : Infinity;
   const falls = loop.integrators < 0 && largest < far_below;
   if (!falls && !point.simple) return false;
   if (loop.integrators <= 0 && largest < 1) return true;
-  const from = f[0] / led;
+  const from = f[0] / extrapolated_below;
   return below.every((size) => size.some((x, k) => point.below_f[k] >= from && x >= 1));
 }
 
 /** How far towards -1 lines above those used may reach that are known well; 0 where none does (`Loop.largest_above`). */
 export function largestAbove({ point, controller }: Loop): number {
-  if (!point.beyond) return 0;
-  const { f, P, reach, known } = point.beyond;
+  if (!point.above_band) return 0;
+  const { f, P, half_width, known } = point.above_band;
   const C = control.response(controller, f);
   const L = times(C, P);
   let most = 0;
   for (let k = 0; k < f.length; k++) {
     if (!known[k] || f[k] >= 0.5 * controller.rate_hz) continue;
-    const radius = Math.hypot(C.re[k], C.im[k]) * reach[k];
-    const share = 1 - reach[k] / Math.hypot(P.re[k], P.im[k]);
+    const radius = Math.hypot(C.re[k], C.im[k]) * half_width[k];
+    const share = 1 - half_width[k] / Math.hypot(P.re[k], P.im[k]);
     most = Math.max(most, 1 - Math.hypot(1 + share * L.re[k], share * L.im[k]) + radius);
   }
   return most;
@@ -141,8 +141,8 @@ export function slopeOf({ point, f, C }: Loop): number {
   const x = Array.from(f.subarray(0, count), Math.log);
   const y = Array.from(size.subarray(0, count), Math.log);
   const [mx, my] = [x, y].map((values) => values.reduce((a, b) => a + b, 0) / count);
-  const along = x.reduce((sum, value) => sum + (value - mx) ** 2, 0);
-  return -x.reduce((sum, value, k) => sum + (value - mx) * (y[k] - my), 0) / along;
+  const spread = x.reduce((sum, value) => sum + (value - mx) ** 2, 0);
+  return -x.reduce((sum, value, k) => sum + (value - mx) * (y[k] - my), 0) / spread;
 }
 
 /** Whether L starts so large that nothing below its first line comes near -1 (`is_large`). */
@@ -175,18 +175,18 @@ export function readings(loop: Loop): Judged[] {
   const { dense, denseC, denseL, draws, point } = loop;
   const j = { f: dense.f, L: denseL, C: denseC, reference: times(denseC, dense.reference), draws };
   if (point.integrators === null || isLarge(loop) || !inSight(loop)) return [j];
-  const found = point.down.map((down) => fromBelow(loop, j, down));
+  const found = point.extrapolated.map((model) => fromBelow(loop, j, model));
   return found.length ? found : [j];
 }
 
-function before(draws: Draws, led: number, at: (d: number, k: number) => [number, number]): Draws {
+function before(draws: Draws, extrapolated: number, at: (d: number, k: number) => [number, number]): Draws {
   const n = draws.re.length / draws.count;
-  const wide = n + led;
+  const wide = n + extrapolated;
   const out = { count: draws.count, re: new Float64Array(draws.count * wide), im: new Float64Array(draws.count * wide) };
   for (let d = 0; d < draws.count; d++) {
-    for (let k = 0; k < led; k++) [out.re[d * wide + k], out.im[d * wide + k]] = at(d, k);
-    out.re.set(draws.re.subarray(d * n, (d + 1) * n), d * wide + led);
-    out.im.set(draws.im.subarray(d * n, (d + 1) * n), d * wide + led);
+    for (let k = 0; k < extrapolated; k++) [out.re[d * wide + k], out.im[d * wide + k]] = at(d, k);
+    out.re.set(draws.re.subarray(d * n, (d + 1) * n), d * wide + extrapolated);
+    out.im.set(draws.im.subarray(d * n, (d + 1) * n), d * wide + extrapolated);
   }
   return out;
 }
@@ -206,18 +206,18 @@ function scaled(draws: Draws, C: Complex, out: Draws): Draws {
 }
 
 /** The lines with those before them as a model tells them, down to 0 Hz where L is finite there (`_from_below`). */
-function fromBelow(loop: Loop, j: Judged, down: Down): Judged {
+function fromBelow(loop: Loop, j: Judged, model: ExtrapolatedModel): Judged {
   const finite = loop.integrators <= 0;
   const skipped = finite ? 0 : 1;
-  const shares = loop.plant.source.constants.down.slice(skipped);
+  const shares = loop.plant.source.constants.below_ratios.slice(skipped);
   const f = Float64Array.from(shares, (share) => j.f[0] * share);
   const C = control.response(loop.controller, f);
-  const P = { re: down.P.re.subarray(skipped), im: down.P.im.subarray(skipped) };
+  const P = { re: model.P.re.subarray(skipped), im: model.P.im.subarray(skipped) };
   const L = times(C, P);
   if (finite) L.im[0] = L.re[0] < 0 ? -1e-9 * Math.hypot(L.re[0], L.im[0]) * (L.im[1] >= 0 ? 1 : -1) : 0;
   let draws: Draws | null = null;
   if (j.draws) {
-    const moved = modelMoves(loop, C, down, skipped);
+    const moved = modelMoves(loop, C, model, skipped);
     draws = before(j.draws, f.length, (d, k) => {
       const at = d * f.length + k;
       return [moved.re[at], finite && k === 0 ? 0 : moved.im[at]];
@@ -227,7 +227,7 @@ function fromBelow(loop: Loop, j: Judged, down: Down): Judged {
 }
 
 /** What errors of the lowest lines do to C times a small model, at its places from the one `skipped` on. */
-export function modelMoves(loop: Loop, C: Complex, { slopes, influence, lines }: Down, skipped: number): Complex {
+export function modelMoves(loop: Loop, C: Complex, { slopes, influence, lines }: ExtrapolatedModel, skipped: number): Complex {
   const own = loop.plant.dense.draws as Draws;
   const dense = loop.plant.dense.f;
   const n = dense.length;

@@ -161,14 +161,14 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reade
   const reference = kernel.freshReading();
   kernel.read(grid, j.reference.re, j.reference.im, bounded, reference);
   const out = { value: found.slice(), low: found.slice(), high: found.slice() };
-  const { reach } = loop.plant.source.constants;
+  const { half_width } = loop.plant.source.constants;
   const chords = betweenLines(loop, j, reference.found, reader, bounded);
   for (let c = 0; c < kernel.COLUMNS; c++) {
     const ordered = Float64Array.from({ length: j.draws.count }, (_, d) => drawn[d * kernel.COLUMNS + c]).sort();
     const usual = ordered.every(Number.isFinite) && Number.isFinite(reference.found[c]) && Number.isFinite(found[c]);
     if (usual && ofOnePiece(ordered) && deviation(ordered) <= (DISTANCES[c] ?? Infinity)) {
       out.value[c] = found[c] - (mean(ordered) - reference.found[c]);
-      const half = Math.hypot(reach * deviation(ordered), chords[c]);
+      const half = Math.hypot(half_width * deviation(ordered), chords[c]);
       [out.low[c], out.high[c]] = [out.value[c] - half, out.value[c] + half];
     } else {
       const last = ordered.length - 1;

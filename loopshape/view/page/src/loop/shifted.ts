@@ -36,7 +36,7 @@ interface Lines {
 }
 
 /** What a controller makes of lines that stand at a place. */
-interface Met {
+interface AtShift {
   grid: kernel.Grid;
   C: Complex;
   belowC: Complex | null;
@@ -85,8 +85,8 @@ function change({ pole, residue }: Seen, f: Real, shift: number): Complex {
 /** A plant at shifts in per cent, read once at each. */
 export class Moved {
   readonly readings = new Map<number, Reading>();
-  private readonly scatters = new Map<number, { bias: Float64Array; reach: Float64Array }>();
-  private last: { by: number; met: Met } | null = null;
+  private readonly scatters = new Map<number, { bias: Float64Array; half_width: Float64Array }>();
+  private last: { by: number; at_shift: AtShift } | null = null;
 
   constructor(
     private readonly of: Shiftable,
@@ -98,7 +98,7 @@ export class Moved {
     const known = this.readings.get(percent);
     if (known) return known;
     const { by, P, belowP } = this.at(percent);
-    const { grid, C, belowC } = this.metAt(by);
+    const { grid, C, belowC } = this.shiftedBy(by);
     const { loop, lines } = this.of;
     const { integrators, point, plant } = loop;
     const n = grid.f.length;
@@ -110,15 +110,15 @@ export class Moved {
       const share = Math.hypot(1 + L.re[k], L.im[k]) / (Math.hypot(C.re[k], C.im[k]) * lines.std[k]);
       if (!(share >= clear)) clear = share;
     }
-    const led = belowC && belowP && times(belowC, belowP);
-    const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, led, plant.source.constants.fit_deg, led ? 0 : swingNear(loop));
+    const below = belowC && belowP && times(belowC, belowP);
+    const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, below, plant.source.constants.fit_deg, below ? 0 : swingNear(loop));
     const made = { values: out.found, poles, clear };
     this.readings.set(percent, made);
     return made;
   }
 
   /** Bias and half interval of a reading's columns, by draws of the plant's error; infinite where one jumps. */
-  scatter(percent: number): { bias: Float64Array; reach: Float64Array } {
+  scatter(percent: number): { bias: Float64Array; half_width: Float64Array } {
     const known = this.scatters.get(percent);
     if (known) return known;
     const made = this.scattered(percent);
@@ -126,9 +126,9 @@ export class Moved {
     return made;
   }
 
-  private scattered(percent: number): { bias: Float64Array; reach: Float64Array } {
+  private scattered(percent: number): { bias: Float64Array; half_width: Float64Array } {
     const { by, P } = this.at(percent);
-    const { grid, C } = this.metAt(by);
+    const { grid, C } = this.shiftedBy(by);
     const { values } = this.reading(percent);
     const { draws, f } = this.of.lines;
     const { count } = draws;
@@ -146,21 +146,21 @@ export class Moved {
       kernel.read(grid, re, im, true, out);
       found.set(out.found, d * kernel.COLUMNS);
     }
-    const made = { bias: new Float64Array(kernel.COLUMNS), reach: new Float64Array(kernel.COLUMNS) };
+    const made = { bias: new Float64Array(kernel.COLUMNS), half_width: new Float64Array(kernel.COLUMNS) };
     for (let c = 0; c < kernel.COLUMNS; c++) {
       const off = Float64Array.from({ length: count }, (_, d) => found[d * kernel.COLUMNS + c] - values[c]);
       const known = Number.isFinite(values[c]) && off.every(Number.isFinite);
       const mean = known ? off.reduce((a, b) => a + b, 0) / count : 0;
       const squares = known ? off.reduce((a, b) => a + (b - mean) ** 2, 0) / count : 0;
       made.bias[c] = mean;
-      made.reach[c] = known ? this.of.loop.plant.source.constants.detuning.reach * Math.sqrt(squares) : Infinity;
+      made.half_width[c] = known ? this.of.loop.plant.source.constants.detuning.half_width * Math.sqrt(squares) : Infinity;
     }
     return made;
   }
 
   /** Lines below half the rate with the controller there, once for a reading and its scatter. */
-  private metAt(by: number): Met {
-    if (this.last?.by === by) return this.last.met;
+  private shiftedBy(by: number): AtShift {
+    if (this.last?.by === by) return this.last.at_shift;
     const { loop, lines, reader } = this.of;
     const { controller } = loop;
     const { rate_hz } = controller;
@@ -173,8 +173,8 @@ export class Moved {
     const belowC = lines.belowP && control.response(controller, lines.belowF.map((x) => x * by));
     const aboveC2 = kernel.squares(control.response(controller, aboveF));
     const grid = kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, reader, largestAbove(loop));
-    this.last = { by, met: { grid, C, belowC } };
-    return this.last.met;
+    this.last = { by, at_shift: { grid, C, belowC } };
+    return this.last.at_shift;
   }
 }
 
@@ -193,7 +193,7 @@ function linesOf(loop: Loop, plant: Plant): Lines {
   const dense = followed(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
   const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws };
   return {
-    ...withLed(loop, own),
+    ...withExtrapolated(loop, own),
     belowF: point.fitted_f,
     belowP: point.fitted_f.length ? point.fitted : null,
     aboveF: aboveHz(point.f[point.f.length - 1], controller.rate_hz),
@@ -221,12 +221,12 @@ function deviations({ point, dense }: Plant, at: Real): Real {
 type Known = Pick<Lines, "f" | "P" | "std" | "draws">;
 
 /** The lines with those before them where a model leads to the first one: as unsure as that. */
-function withLed(loop: Loop, own: Known): Known {
-  const [model] = loop.point.down;
+function withExtrapolated(loop: Loop, own: Known): Known {
+  const [model] = loop.point.extrapolated;
   if (!model || Math.hypot(loop.L.re[0], loop.L.im[0]) >= 1 || !inSight(loop)) return own;
   const ahead = { re: model.P.re.subarray(1), im: model.P.im.subarray(1) };
-  const led_f = Float64Array.from(loop.plant.source.constants.down.slice(1), (share) => loop.f[0] * share);
-  const led = led_f.length;
+  const below_f = Float64Array.from(loop.plant.source.constants.below_ratios.slice(1), (share) => loop.f[0] * share);
+  const extrapolated = below_f.length;
   const n = own.f.length;
   const { count } = own.draws;
   const [pr, pi] = [own.P.re[0], own.P.im[0]];
@@ -235,18 +235,18 @@ function withLed(loop: Loop, own: Known): Known {
     re: ahead.re.map((x, k) => (x * pr + ahead.im[k] * pi) / size),
     im: ahead.re.map((x, k) => (ahead.im[k] * pr - x * pi) / size),
   };
-  const draws: Draws = { count, re: new Float64Array(count * (n + led)), im: new Float64Array(count * (n + led)) };
+  const draws: Draws = { count, re: new Float64Array(count * (n + extrapolated)), im: new Float64Array(count * (n + extrapolated)) };
   for (let d = 0; d < count; d++) {
-    const [x, y, start] = [own.draws.re[d * n], own.draws.im[d * n], d * (n + led)];
-    for (let k = 0; k < led; k++) {
+    const [x, y, start] = [own.draws.re[d * n], own.draws.im[d * n], d * (n + extrapolated)];
+    for (let k = 0; k < extrapolated; k++) {
       draws.re[start + k] = share.re[k] * x - share.im[k] * y;
       draws.im[start + k] = share.re[k] * y + share.im[k] * x;
     }
-    draws.re.set(own.draws.re.subarray(d * n, (d + 1) * n), start + led);
-    draws.im.set(own.draws.im.subarray(d * n, (d + 1) * n), start + led);
+    draws.re.set(own.draws.re.subarray(d * n, (d + 1) * n), start + extrapolated);
+    draws.im.set(own.draws.im.subarray(d * n, (d + 1) * n), start + extrapolated);
   }
   return {
-    f: concat(led_f, own.f),
+    f: concat(below_f, own.f),
     P: { re: concat(ahead.re, own.P.re), im: concat(ahead.im, own.P.im) },
     std: concat(share.re.map((x, k) => own.std[0] * Math.hypot(x, share.im[k])), own.std),
     draws,

@@ -2,7 +2,7 @@
 // obstacles.py, holes.py). What cannot be proved here is undecided.
 
 import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
-import { pastResonances, short, type Obstacle, type Past } from "./between";
+import { pastResonances, short, type UndecidedReason, type Past } from "./between";
 import * as control from "../numbers/controller";
 import { sumsOf, type Draws } from "../numbers/dense";
 import { belowLines, holdsBelow, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
@@ -67,12 +67,12 @@ function hiddenMode({ point, controller, plant }: Loop): string {
   return "";
 }
 
-function unstableCount(loop: Loop, unstable: number): number | Obstacle {
+function unstableCount(loop: Loop, unstable: number): number | UndecidedReason {
   const below = waysBelow(loop);
   const between = pastResonances(loop);
   const poles = counted(loop, unstable, between, below);
-  const told = isTold(loop) || (poles !== null && holdsBelow(loop, poles));
-  const found = doubtBelow(loop) ?? obstacle(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (told ? null : unknownBelow(loop));
+  const known = isTold(loop) || (poles !== null && holdsBelow(loop, poles));
+  const found = doubtBelow(loop) ?? undecidedReason(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (known ? null : unknownBelow(loop));
   return found ?? poles ?? misfit(loop);
 }
 
@@ -99,26 +99,26 @@ export function swingNear({ point, controller, f, plant }: Loop): number {
   let turn = 0;
   for (let k = 1; k < C.re.length; k++) turn += angleOf(C.re[k], C.im[k], C.re[k - 1], C.im[k - 1]);
   const [phase, slope] = point.order;
-  const told = !point.unstable_poles && Math.abs(phase - slope) < plant.source.constants.agree;
-  const more = told ? Math.max(rint(slope - (point.integrators ?? 0)), 0) : 0;
+  const known = !point.unstable_poles && Math.abs(phase - slope) < plant.source.constants.agree;
+  const more = known ? Math.max(rint(slope - (point.integrators ?? 0)), 0) : 0;
   return turn - 0.5 * Math.PI * more;
 }
 
 /** Where the error of a model of the lowest lines may carry L over -1 below them. */
-function doubtBelow(loop: Loop): Obstacle | null {
+function doubtBelow(loop: Loop): UndecidedReason | null {
   if (!loop.draws || isLarge(loop)) return null;
-  const { down: shares, reach_95 } = loop.plant.source.constants;
-  const f = Float64Array.from(shares.slice(1), (share) => loop.f[0] * share);
+  const { below_ratios, radius_95 } = loop.plant.source.constants;
+  const f = Float64Array.from(below_ratios.slice(1), (ratio) => loop.f[0] * ratio);
   const C = control.response(loop.controller, f);
-  for (const down of loop.point.down) {
-    const L = times(C, { re: down.P.re.subarray(1), im: down.P.im.subarray(1) });
-    const moved = modelMoves(loop, C, down, 1);
+  for (const model of loop.point.extrapolated) {
+    const L = times(C, { re: model.P.re.subarray(1), im: model.P.im.subarray(1) });
+    const moved = modelMoves(loop, C, model, 1);
     const power = new Float64Array(f.length);
     moved.re.forEach((x, i) => (power[i % f.length] += x * x + moved.im[i] ** 2));
     const count = moved.re.length / f.length;
     const far = power.map((x, k) => Math.hypot(1 + L.re[k], L.im[k]) / Math.max(Math.sqrt(x / count), 1e-300));
     const k = far.reduce((best, value, i) => (value < far[best] ? i : best), 0);
-    if (far[k] < reach_95) {
+    if (far[k] < radius_95) {
       const reason = `-1 lies within the uncertainty of L at ${short(f[k])} Hz, below the first frequency, ${short(loop.f[0])} Hz`;
       return { reason: `${reason}: measure lower`, band_hz: [f[k], loop.f[0]] };
     }
@@ -126,13 +126,13 @@ function doubtBelow(loop: Loop): Obstacle | null {
   return null;
 }
 
-function unknownBelow({ f, L }: Loop): Obstacle {
+function unknownBelow({ f, L }: Loop): UndecidedReason {
   const size = short(Math.hypot(L.re[0], L.im[0]), 2);
   const reason = `the lowest lines do not tell how L, ${size} at ${short(f[0])} Hz, goes on below them: measure lower`;
   return { reason, band_hz: [0.1 * f[0], f[0]] };
 }
 
-function misfit(loop: Loop): Obstacle {
+function misfit(loop: Loop): UndecidedReason {
   const { f, L, integrators } = loop;
   const phase = Math.round(deg(Math.atan2(L.im[0], L.re[0])));
   const reason =
@@ -142,8 +142,8 @@ function misfit(loop: Loop): Obstacle {
 }
 
 /** 1 + L where it comes from to the first line; null where a model leads there. */
-function startOf(loop: Loop, led: Complex | null, unstable: number): number[] | null {
-  if (led) return null;
+function startOf(loop: Loop, extrapolated: Complex | null, unstable: number): number[] | null {
+  if (extrapolated) return null;
   const { integrators, denseL: L } = loop;
   const negative = unstable % 2 === 1;
   if (integrators < 0) return [1, 0];
@@ -157,10 +157,10 @@ function startOf(loop: Loop, led: Complex | null, unstable: number): number[] | 
 export function countUnstable(
   L: Complex, integrators: number, unstable: number, below: Complex | null, fitDeg: number, near = 0,
 ): number | null {
-  const led = below !== null && below.re.length > 0;
-  const re = led ? concat(below.re, L.re) : L.re;
-  const im = led ? concat(below.im, L.im) : L.im;
-  const start = turnToFirst(re[0], im[0], integrators, unstable % 2 === 1, led, fitDeg, near);
+  const extrapolated = below !== null && below.re.length > 0;
+  const re = extrapolated ? concat(below.re, L.re) : L.re;
+  const im = extrapolated ? concat(below.im, L.im) : L.im;
+  const start = turnToFirst(re[0], im[0], integrators, unstable % 2 === 1, extrapolated, fitDeg, near);
   if (start === null) return null;
   let turn = start;
   for (let k = 1; k < re.length; k++) turn += angleOf(1 + re[k], im[k], 1 + re[k - 1], im[k - 1]);
@@ -186,22 +186,22 @@ function turnToFirst(
   return Math.atan2(im, 1 + re) - (re < -1 ? Math.PI : 0) * Math.sign(im || 1);
 }
 
-function obstacle(loop: Loop, between: Past, start: number[] | null): Obstacle | null {
+function undecidedReason(loop: Loop, between: Past, start: number[] | null): UndecidedReason | null {
   return tooShort(loop) ?? comesUpAgain(loop) ?? onIt(loop, between) ?? doubt(loop, between, start) ?? between.unclear ?? hole(loop);
 }
 
-function tooShort({ f, L }: Loop): Obstacle | null {
+function tooShort({ f, L }: Loop): UndecidedReason | null {
   const last = f.length - 1;
   const size = Math.hypot(L.re[last], L.im[last]);
   if (size < 1) return null;
   return { reason: `|L| is still ${short(size, 2)} at the last line, ${short(f[last])} Hz: measure higher`, band_hz: null };
 }
 
-function comesUpAgain({ point, controller }: Loop): Obstacle | null {
-  if (!point.beyond) return null;
-  const f = point.beyond.f.filter((x) => x < 0.5 * controller.rate_hz);
+function comesUpAgain({ point, controller }: Loop): UndecidedReason | null {
+  if (!point.above_band) return null;
+  const f = point.above_band.f.filter((x) => x < 0.5 * controller.rate_hz);
   if (!f.length) return null;
-  const L = times(control.response(controller, f), point.beyond.P);
+  const L = times(control.response(controller, f), point.above_band.P);
   const size = magnitudes(L);
   const k = size.reduce((best, value, i) => (value > size[best] ? i : best), 0);
   if (size[k] < 1) return null;
@@ -222,7 +222,7 @@ function pastPlaces({ f, dense }: Loop, between: Past): Uint8Array {
   return out;
 }
 
-function onIt(loop: Loop, between: Past): Obstacle | null {
+function onIt(loop: Loop, between: Past): UndecidedReason | null {
   const past = pastPlaces(loop, between);
   const near = chords(loop.denseL).map((value, k) => (past[k] || past[k + 1] ? Infinity : value));
   const k = near.reduce((best, value, i) => (value < near[best] ? i : best), 0);
@@ -239,32 +239,32 @@ function sizesOf(draws: Draws, n: number): { std: Real; common: Real } {
   return { std: power.map((value) => Math.sqrt(value / draws.count)), common };
 }
 
-function doubt(loop: Loop, between: Past, start: number[] | null): Obstacle | null {
+function doubt(loop: Loop, between: Past, start: number[] | null): UndecidedReason | null {
   const { denseL: L, dense, draws } = loop;
-  const { wrong, reach_95, strays } = loop.plant.source.constants;
+  const { wrong, radius_95, uncertain_ratio } = loop.plant.source.constants;
   const n = dense.f.length;
   if (!draws) return { reason: "intervals are still being computed", band_hz: null };
   const { std, common } = sizesOf(draws, n);
   const chord = chords(L);
   const past = pastPlaces(loop, between);
-  const reach = new Float64Array(n);
+  const radius = new Float64Array(n);
   for (let k = 0; k < n; k++) {
     const near = Math.min(Math.hypot(1 + L.re[k], L.im[k]), chord[k - 1] ?? Infinity, chord[k] ?? Infinity);
-    reach[k] = past[k] || !(std[k] > 0) ? Infinity : near / std[k];
+    radius[k] = past[k] || !(std[k] > 0) ? Infinity : near / std[k];
   }
-  if (start && std[0] > 0) reach[0] = Math.min(reach[0], Math.hypot(start[0], start[1]) / std[0]);
-  const k = reach.reduce((best, value, i) => (value < reach[best] ? i : best), 0);
-  if (reach[k] < reach_95) return uncertain(loop, k, std, strays);
-  if (chanceOfError(reach, common, k) <= wrong) return null;
+  if (start && std[0] > 0) radius[0] = Math.min(radius[0], Math.hypot(start[0], start[1]) / std[0]);
+  const k = radius.reduce((best, value, i) => (value < radius[best] ? i : best), 0);
+  if (radius[k] < radius_95) return uncertain(loop, k, std, uncertain_ratio);
+  if (chanceOfError(radius, common, k) <= wrong) return null;
   return { reason: "errors of L may carry it over -1: measure longer or excite more", band_hz: null };
 }
 
-function uncertain({ f, dense }: Loop, k: number, std: Real, strays: number): Obstacle {
+function uncertain({ f, dense }: Loop, k: number, std: Real, uncertain_ratio: number): UndecidedReason {
   const at = dense.f[k];
   const i = clip(placeIn(f, at), 1, f.length - 1);
   const [low, high] = [f[i - 1], f[i]];
   const beside = Math.max(std[placeIn(dense.f, low)], std[placeIn(dense.f, high)]);
-  if (f[placeIn(f, at)] !== at && std[k] > strays * beside) {
+  if (f[placeIn(f, at)] !== at && std[k] > uncertain_ratio * beside) {
     const words = `L bends too much between ${short(low, 4)} and ${short(high, 4)} Hz to tell on which side it passes -1`;
     return { reason: `${words}: measure finer there`, band_hz: [low, high] };
   }
@@ -275,16 +275,16 @@ function uncertain({ f, dense }: Loop, k: number, std: Real, strays: number): Ob
 }
 
 /** Chance that errors carry a path over a point: as often as a normal process rises through a level (Rice 1945). */
-function chanceOfError(reach: Real, common: Real, nearest: number): number {
-  const n = reach.length;
-  const level = reach.map((x) => Math.exp(-x * x));
-  const beyond = reach.map((x) => normalBelow(-Math.SQRT2 * x));
-  let chance = beyond[nearest];
+function chanceOfError(radius: Real, common: Real, nearest: number): number {
+  const n = radius.length;
+  const level = radius.map((x) => Math.exp(-x * x));
+  const tails = radius.map((x) => normalBelow(-Math.SQRT2 * x));
+  let chance = tails[nearest];
   level[nearest] = 0;
-  beyond[nearest] = 0;
+  tails[nearest] = 0;
   for (let k = 1; k < n; k++) {
     const rising = (Math.acos(clip(common[k], 0, 1)) / TWO_PI) * (level[k] + level[k - 1]);
-    chance += 0.5 * Math.min(rising, beyond[k] + beyond[k - 1]);
+    chance += 0.5 * Math.min(rising, tails[k] + tails[k - 1]);
   }
   return Math.min(chance, 1);
 }
@@ -308,7 +308,7 @@ export function normalBelow(x: number): number {
 }
 
 /** Where a resonance might encircle -1 between lines that are missing or too uncertain to show it (`_unseen`). */
-function unseen({ point, controller, plant }: Loop): Obstacle | null {
+function unseen({ point, controller, plant }: Loop): UndecidedReason | null {
   const { gaps } = point;
   if (!gaps.length) return null;
   const C = control.response(controller, Float64Array.from(gaps.flatMap((gap) => gap.hz)));
@@ -336,7 +336,7 @@ function unseen({ point, controller, plant }: Loop): Obstacle | null {
   return { reason, band_hz: [low, high] };
 }
 
-function hole(loop: Loop): Obstacle | null {
+function hole(loop: Loop): UndecidedReason | null {
   const found = unseen(loop);
   if (found) return found;
   const { f, L, controller } = loop;

@@ -2,7 +2,7 @@
 
 import type { Controller } from "../numbers/controller";
 import { Source } from "../numbers/dense";
-import { withDetuning, withResonances, worstReach } from "./detuning";
+import { withDetuning, withResonances, worstReading } from "./detuning";
 import { readerOf, requirementsAt } from "./limits";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
@@ -14,75 +14,75 @@ const SEVERITY: Record<Outcome, number> = { failed: 0, undecided: 1, passed: 2 }
 
 export interface Row {
   quantity: string;
-  wished: number;
-  found: number;
+  required: number;
+  value: number;
   interval: Interval | null;
-  spare: number;
+  slack: number;
   outcome: Outcome;
   point: number;
   at_hz: number | null;
   bound: number | null;
-  /** Whether `found` is as far as was looked. */
-  beyond: boolean;
+  /** Whether `value` is as far as was looked. */
+  is_bound: boolean;
 }
 
-export interface Found {
+export interface Verdict {
   rows: Row[];
   margins: Margins[];
   outcome: Outcome;
   unstable: number[];
 }
 
-export function pointOutcome(m: Margins, limit: Limit, wished: number): Outcome {
+export function pointOutcome(m: Margins, limit: Limit, required: number): Outcome {
   const value = m.values[limit.name];
   if (value === undefined || Number.isNaN(value)) return "undecided";
   let [low, high] = m.intervals[limit.name] ?? [value, value];
   const least = limit.sense === "at_least";
   const best = m.bounds[limit.name];
   if (best !== undefined) [low, high] = least ? [low, Math.max(high, best)] : [Math.min(low, best), high];
-  if (least ? low >= wished : high <= wished) return "passed";
+  if (least ? low >= required : high <= required) return "passed";
   const at = m.at_hz[limit.name] ?? 0;
-  const perhaps = (least ? high >= wished : low <= wished) || m.missing_hz.some(([from, to]) => from < at && at < to);
+  const perhaps = (least ? high >= required : low <= required) || m.missing_hz.some(([from, to]) => from < at && at < to);
   return perhaps ? "undecided" : "failed";
 }
 
-function rowAt(limit: Limit, wished: number, point: number, m: Margins): Row {
-  const found = m.values[limit.name] ?? NaN;
+function rowAt(limit: Limit, required: number, point: number, m: Margins): Row {
+  const value = m.values[limit.name] ?? NaN;
   const interval = m.intervals[limit.name] ?? null;
-  const [low, high] = interval ?? [found, found];
-  const spare = limit.sense === "at_least" ? low - wished : wished - high;
+  const [low, high] = interval ?? [value, value];
+  const slack = limit.sense === "at_least" ? low - required : required - high;
   return {
     quantity: limit.name,
-    wished,
-    found,
+    required,
+    value,
     interval,
-    spare,
-    outcome: pointOutcome(m, limit, wished),
+    slack,
+    outcome: pointOutcome(m, limit, required),
     point,
     at_hz: m.at_hz[limit.name] ?? null,
     bound: m.bounds[limit.name] ?? null,
-    beyond: limit.name === "detuning_percent" && m.detuning !== null && worstReach(m.detuning).beyond,
+    is_bound: limit.name === "detuning_percent" && m.detuning !== null && worstReading(m.detuning).is_bound,
   };
 }
 
 function worse(a: Row, b: Row): boolean {
   const [one, two] = [SEVERITY[a.outcome], SEVERITY[b.outcome]];
-  return one < two || (one === two && a.spare < b.spare);
+  return one < two || (one === two && a.slack < b.slack);
 }
 
 /** What a requirement asks for, null where it asks nothing. */
-export function wishedOf(requirements: Requirements, limit: Limit): number | null {
+export function requiredOf(requirements: Requirements, limit: Limit): number | null {
   const value = requirements[limit.name];
   return typeof value === "number" ? value : null;
 }
 
 /** A row a limit, at the worst of the operating points that are limited so; `asked` is what is required at each. */
-export function verdictOn(limits: Limit[], asked: Requirements[], found: Margins[]): Found {
+export function verdictOn(limits: Limit[], asked: Requirements[], found: Margins[]): Verdict {
   const rows: Row[] = [];
   for (const limit of limits) {
     const each = found.flatMap((m, point) => {
-      const wished = wishedOf(asked[point], limit);
-      return wished === null ? [] : [rowAt(limit, wished, point, m)];
+      const required = requiredOf(asked[point], limit);
+      return required === null ? [] : [rowAt(limit, required, point, m)];
     });
     if (each.length) rows.push(each.reduce((worst, row) => (worse(row, worst) ? row : worst)));
   }
@@ -123,7 +123,7 @@ export class Engine {
   }
 
   /** The verdict on margins at all operating points. */
-  verdict(requirements: Requirements, found: Margins[]): Found {
+  verdict(requirements: Requirements, found: Margins[]): Verdict {
     return verdictOn(this.payload.limits, this.asked(requirements), found);
   }
 

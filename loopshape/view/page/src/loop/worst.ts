@@ -1,6 +1,6 @@
 // Which operating point to look at first (Python: loop/points.py).
 
-import type { Found, Outcome, Row } from "./verdict";
+import type { Verdict, Outcome, Row } from "./verdict";
 
 const CLOSENESS = [
   "modulus_margin", "sensitivity_peak_db", "disk_margin", "phase_margin_deg", "gain_margin_db",
@@ -10,7 +10,7 @@ const SEVERITY: Record<Outcome, number> = { failed: 0, undecided: 1, passed: 2 }
 const RANK = { unstable: 0, undecided: 1, stable: 2 };
 
 /** First what is unstable or undecided, then where the worst row about -1 is missed, else what comes nearest to -1. */
-export function worstOf(found: Found): number {
+export function worstOf(found: Verdict): number {
   const ranks = found.margins.map((m) => (m.stability ? RANK[m.stability.outcome] : 2));
   const least = Math.min(...ranks);
   const missed = found.rows.filter((row) => CLOSENESS.includes(row.quantity) && row.outcome !== "passed");

@@ -280,15 +280,15 @@ function smoothingWeights(x: Real, v: Real, k: number, half: number, degree: num
 
 function orthonormal(x: Real, w: Real, degree: number): Real[] {
   const n = x.length;
-  const reach = Math.max(Math.abs(x[0]), Math.abs(x[n - 1]));
+  const largest = Math.max(Math.abs(x[0]), Math.abs(x[n - 1]));
   const basis: Real[] = [];
   for (let j = 0; j <= degree; j++) {
-    const q = j === 0 ? new Float64Array(n).fill(1) : basis[j - 1].map((value, i) => (value * x[i]) / reach);
+    const q = j === 0 ? new Float64Array(n).fill(1) : basis[j - 1].map((value, i) => (value * x[i]) / largest);
     for (let pass = 0; pass < 2; pass++) {
       for (const other of basis) {
-        let along = 0;
-        for (let i = 0; i < n; i++) along += w[i] * other[i] * q[i];
-        for (let i = 0; i < n; i++) q[i] -= along * other[i];
+        let projection = 0;
+        for (let i = 0; i < n; i++) projection += w[i] * other[i] * q[i];
+        for (let i = 0; i < n; i++) q[i] -= projection * other[i];
       }
     }
     let size = 0;

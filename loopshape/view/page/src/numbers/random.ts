@@ -23,7 +23,7 @@ function layers(): { x: Float64Array; f: Float64Array } {
   return { x, f: x.map((value, k) => (k === 0 ? 1 : Math.exp(-0.5 * value * value))) };
 }
 
-/** Area of a layer to all digits: the rectangle up to the rightmost edge, and the tail beyond it. */
+/** Area of a layer to all digits: the rectangle up to the rightmost edge, and the tail past it. */
 const areaExact = RIGHTMOST * Math.exp(-0.5 * RIGHTMOST ** 2) + tail(RIGHTMOST);
 
 function tail(x: number): number {
@@ -68,14 +68,14 @@ export class Normals {
       const value = (size * x[index]) / TWO_52;
       if (index === 0) {
         if (value < RIGHTMOST) return sign * value;
-        return this.beyond(Math.floor(size / 256) % 2 === 1);
+        return this.tail(Math.floor(size / 256) % 2 === 1);
       }
       if (index > 1 && value < x[index - 1]) return sign * value;
       if ((f[index - 1] - f[index]) * this.uniform() + f[index] < Math.exp(-0.5 * value * value)) return sign * value;
     }
   }
 
-  private beyond(negative: boolean): number {
+  private tail(negative: boolean): number {
     for (;;) {
       const far = -Math.log1p(-this.uniform()) / RIGHTMOST;
       const near = -Math.log1p(-this.uniform());

@@ -1,10 +1,10 @@
 // Resonances close together, as Python fitted them to the plant: how 1 + L turns past them in each way that the lines
-// allow (Python: `Crowd.response` of loop/stability/mode_clusters.py, `turns_past_crowd` of loop/margin/between.py).
+// allow (Python: `ModeCluster.response` of loop/stability/mode_clusters.py, `turns_past_cluster` of loop/margin/between.py).
 
 import { clip, placeIn, times, TWO_PI, zeros, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import type { Loop } from "./loop";
-import type { Crowd } from "../payload";
+import type { ModeCluster } from "../payload";
 import { angleOf, chords, turnAlong } from "./turns";
 
 /** Least and most whole turns more than the path's, how near to -1 the likeliest way comes in each gap. */
@@ -16,15 +16,15 @@ export interface Turns {
   sure: boolean;
 }
 
-export function turnsPastCrowd(crowd: Crowd, loop: Loop): Turns {
+export function turnsPastCluster(cluster: ModeCluster, loop: Loop): Turns {
   const { f, dense, denseL } = loop;
-  const own = f.subarray(crowd.low, crowd.high + 1);
+  const own = f.subarray(cluster.low, cluster.high + 1);
   const straight = turnAlong(denseL, placeIn(dense.f, own[0]), placeIn(dense.f, own[own.length - 1]));
   const out: Turns = { least: Infinity, most: -Infinity, near: new Float64Array(0), sure: true };
-  alongOf(crowd, loop).forEach(({ at, P }, way) => {
+  pathsOf(cluster, loop).forEach(({ at, P }, way) => {
     const L = times(control.response(loop.controller, at), P);
     if (way === 0) out.near = nearIn(own, at, chords(L));
-    const { turn, sure } = turned(new Way(crowd, way, loop), at, L);
+    const { turn, sure } = turned(new Way(cluster, way, loop), at, L);
     const more = Math.round((turn - straight) / TWO_PI);
     [out.least, out.most, out.sure] = [Math.min(out.least, more), Math.max(out.most, more), out.sure && sure];
   });
@@ -37,10 +37,10 @@ function nearIn(own: Real, at: Real, values: Real): Real {
   return Float64Array.from(begin, (from, k) => values.subarray(from, begin[k + 1] ?? values.length).reduce((a, b) => Math.min(a, b), Infinity));
 }
 
-/** P past a crowd in one of its ways, anywhere. */
+/** P past a cluster in one of its ways, anywhere. */
 class Way {
   constructor(
-    private readonly crowd: Crowd,
+    private readonly cluster: ModeCluster,
     private readonly way: number,
     private readonly loop: Loop,
   ) {}
@@ -50,13 +50,13 @@ class Way {
   }
 
   get places(): Real {
-    const { crowd, way, loop } = this;
-    const own = loop.f.subarray(crowd.low, crowd.high + 1);
+    const { cluster, way, loop } = this;
+    const own = loop.f.subarray(cluster.low, cluster.high + 1);
     const [start, end] = [own[0], own[own.length - 1]];
-    const { along } = loop.plant.source.constants;
-    const count = crowd.poles.re.length / crowd.ways;
+    const { path_half_widths } = loop.plant.source.constants;
+    const count = cluster.poles.re.length / cluster.ways;
     const near: number[] = [];
-    for (let k = way * count; k < (way + 1) * count; k++) near.push(...along.map((x) => crowd.poles.re[k] + Math.abs(crowd.poles.im[k]) * x));
+    for (let k = way * count; k < (way + 1) * count; k++) near.push(...path_half_widths.map((x) => cluster.poles.re[k] + Math.abs(cluster.poles.im[k]) * x));
     const even = Array.from({ length: 4 * own.length }, (_, k) => start + ((end - start) * k) / (4 * own.length - 1));
     return Float64Array.from([...near, ...own, ...even], (x) => clip(x, start, end)).sort();
   }
@@ -72,20 +72,20 @@ class Way {
   }
 
   private at(hz: number): [number, number] {
-    const { crowd, way, loop } = this;
-    const [start, end] = [loop.f[crowd.low], loop.f[crowd.high]];
+    const { cluster, way, loop } = this;
+    const [start, end] = [loop.f[cluster.low], loop.f[cluster.high]];
     const x = (2 * Math.log(hz / start)) / Math.log(end / start) - 1;
-    let [re, im] = horner(crowd.polynomials, crowd.polynomials.re.length / crowd.ways, way, x);
-    const count = crowd.poles.re.length / crowd.ways;
+    let [re, im] = horner(cluster.polynomials, cluster.polynomials.re.length / cluster.ways, way, x);
+    const count = cluster.poles.re.length / cluster.ways;
     for (let k = way * count; k < (way + 1) * count; k++) {
-      const [dr, di] = [hz - crowd.poles.re[k], -crowd.poles.im[k]];
+      const [dr, di] = [hz - cluster.poles.re[k], -cluster.poles.im[k]];
       const size = dr * dr + di * di;
-      re += (crowd.residues.im[k] * dr - crowd.residues.re[k] * di) / size;
-      im -= (crowd.residues.re[k] * dr + crowd.residues.im[k] * di) / size;
+      re += (cluster.residues.im[k] * dr - cluster.residues.re[k] * di) / size;
+      im -= (cluster.residues.re[k] * dr + cluster.residues.im[k] * di) / size;
     }
-    const ln = Math.log(hz / crowd.middle_hz);
-    const grown = Math.exp(crowd.power[0] * ln);
-    const turn = crowd.power[1] * ln - TWO_PI * crowd.delay_s * (hz - start);
+    const ln = Math.log(hz / cluster.middle_hz);
+    const grown = Math.exp(cluster.power[0] * ln);
+    const turn = cluster.power[1] * ln - TWO_PI * cluster.delay_s * (hz - start);
     const [c, s] = [grown * Math.cos(turn), grown * Math.sin(turn)];
     return [re * c - im * s, re * s + im * c];
   }
@@ -98,21 +98,21 @@ function horner(all: Complex, terms: number, way: number, x: number): [number, n
   return [re, im];
 }
 
-interface Along {
+interface ClusterPath {
   at: Real;
   P: Complex;
 }
 
-const known = new WeakMap<Crowd, Along[]>();
+const known = new WeakMap<ModeCluster, ClusterPath[]>();
 
-/** Places along the lines of a crowd, dense about its poles, with P there: of no controller, once. */
-function alongOf(crowd: Crowd, loop: Loop): Along[] {
-  const made = known.get(crowd) ?? Array.from({ length: crowd.ways }, (_, k) => {
-    const way = new Way(crowd, k, loop);
+/** Places along the lines of a cluster, dense about its poles, with P there: of no controller, once. */
+function pathsOf(cluster: ModeCluster, loop: Loop): ClusterPath[] {
+  const made = known.get(cluster) ?? Array.from({ length: cluster.ways }, (_, k) => {
+    const way = new Way(cluster, k, loop);
     const at = way.places;
     return { at, P: way.response(at) };
   });
-  known.set(crowd, made);
+  known.set(cluster, made);
   return made;
 }
 
