@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from loopshape.core import errors as errors
     from loopshape.core.errors import LoopshapeError as LoopshapeError
+    from loopshape.core.outcomes import Outcome as Outcome
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
     from loopshape.data.control.loop import Loop as Loop
@@ -38,17 +39,16 @@ if TYPE_CHECKING:
     from loopshape.data.control.shorthand import resonator as resonator
     from loopshape.data.requirement.limits_over import AtPoints as AtPoints
     from loopshape.data.requirement.limits_over import Mask as Mask
-    from loopshape.data.requirement.objective import Objective as Objective
-    from loopshape.data.requirement.requirements import Margins as Margins
     from loopshape.data.requirement.requirements import Requirements as Requirements
     from loopshape.data.requirement.requirements import SeveralRequirements as SeveralRequirements
+    from loopshape.data.requirement.weight import Objective as Objective
     from loopshape.data.requirement.weight import Weight as Weight
     from loopshape.data.response.control_frd import from_control as from_control
     from loopshape.data.response.control_frd import to_control as to_control
     from loopshape.data.response.frf import FRF as FRF
     from loopshape.data.response.model import Fit as Fit
+    from loopshape.data.result.margins import Margins as Margins
     from loopshape.data.result.prediction import Prediction as Prediction
-    from loopshape.data.result.verdict import Outcome as Outcome
     from loopshape.data.result.verdict import Verdict as Verdict
     from loopshape.data.signal.disturbance import Disturbance as Disturbance
     from loopshape.data.signal.recording import Recording as Recording
@@ -94,10 +94,10 @@ _HOME = {
     "Fit": "data.response.model",
     "Loop": "data.control.loop",
     "LoopshapeError": "core.errors",
-    "Margins": "data.requirement.requirements",
+    "Margins": "data.result.margins",
     "Mask": "data.requirement.limits_over",
-    "Objective": "data.requirement.objective",
-    "Outcome": "data.result.verdict",
+    "Objective": "data.requirement.weight",
+    "Outcome": "core.outcomes",
     "Prediction": "data.result.prediction",
     "Recording": "data.signal.recording",
     "Requirements": "data.requirement.requirements",

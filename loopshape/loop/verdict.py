@@ -8,14 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import Outcome
 from loopshape.core.units import db, from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Limit, Margins, Requirements
+from loopshape.data.requirement.requirements import Limit, Requirements
 from loopshape.data.response.frf import FRF, Hold
 from loopshape.data.response.model import Fit
 from loopshape.data.response.smoothed import Scatter
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import detuning_warnings
 from loopshape.data.signal.disturbance import Disturbance
@@ -24,7 +26,7 @@ from loopshape.loop.detuning import with_detuning
 from loopshape.loop.margin.error_rms import error_warnings, of_points, with_error_rms
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
-from loopshape.loop.points import SEVERITY, point_outcome
+from loopshape.loop.points import point_outcome
 from loopshape.loop.predict.step_response import models_within
 from loopshape.loop.stability.low_end import low_order
 from loopshape.loop.stability.obstacles import REACH_95, Obstacle
@@ -413,28 +415,27 @@ def worst_lines(asked: Mapping[str, Requirements], found: Mapping[str, Margins])
 
 def _worst_line(limit: Limit, required: Mapping[str, float], found: Mapping[str, Margins]) -> RequirementResult:
     lines = [_line_at(limit, value, name, found[name]) for name, value in required.items()]
-    return min(lines, key=lambda line: (SEVERITY[line.outcome], line.slack))
+    return min(lines, key=lambda line: (-line.outcome.severity, line.slack))
 
 
 def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> RequirementResult:
     """The line of one operating point."""
-    value = getattr(margin, limit.name)
-    interval = margin.intervals.get(limit.name)
-    low, high = (value, value) if interval is None else interval
-    sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-    outcome, bounded = point_outcome(margin, limit.name, required), limit.name in margin.bounds
+    read = margin[limit.name]
+    bounded, sign = read.bound is not None, limit.sign
+    bad, good = read.ends[:: int(sign)]
+    outcome = point_outcome(margin, limit.name, required)
     return RequirementResult(
         quantity=limit.name,
         unit=limit.unit,
         required=required,
-        value=value,
+        value=read.value,
         slack=sign * (bad - required),
         outcome=outcome,
         recording=recording,
-        at_hz=margin.at_hz.get(limit.name),
-        interval=interval,
-        longer=longer(value, bad, good, required, sign) if outcome == "undecided" and not bounded else None,
-        bound=margin.bounds.get(limit.name),
-        measure_to_hz=decided_at_hz(limit.name, required, margin) if outcome == "undecided" and bounded else None,
+        at_hz=read.at_hz,
+        interval=read.interval,
+        longer=longer(read.value, bad, good, required, sign) if outcome is Outcome.UNDECIDED and not bounded else None,
+        bound=read.bound,
+        measure_to_hz=decided_at_hz(limit.name, required, margin) if outcome is Outcome.UNDECIDED and bounded else None,
         beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
     )

@@ -20,7 +20,7 @@ from loopshape.core.units import angular, db, deg
 from loopshape.data.control.controller import Block
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import Problem, problem
-from loopshape.loop.margin.reading import Reader
+from loopshape.loop.margin.margins import Reader
 from loopshape.loop.stability.stability import count_unstable
 from loopshape.loop.verdict import loops_of
 from loopshape.toolbox.arm.dynamics.linear import linearise

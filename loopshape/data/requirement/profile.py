@@ -98,7 +98,7 @@ def zone_shares(verdict: Verdict, profile: Profile) -> dict[str, float]:
 def _all_below(verdict: Verdict, limit_db: float) -> float:
     share = 1.0
     for found in verdict.margins.values():
-        low, high = found.intervals.get("sensitivity_peak_db", (0.0, 0.0))
-        std, room = (high - low) / _WIDTH, limit_db - found.sensitivity_peak_db
+        read = found["sensitivity_peak_db"]
+        std, room = (read.ends[1] - read.ends[0]) / _WIDTH, limit_db - read.value
         share *= 0.5 * (1.0 + erf(room / (std * sqrt(2.0)))) if std > 0.0 else float(room >= 0.0)
     return share

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.outcomes import Change
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
@@ -110,7 +111,7 @@ class Baseline(Plain):
     @property
     def worse(self) -> bool:
         """Whether something got worse, in all or by the controller, which other data do not hide."""
-        return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
+        return Change.WORSE in (self.whole.outcome, self.by_controller and self.by_controller.outcome)
 
 
 def read_diagram(path: Path, run: Path) -> Diagram:

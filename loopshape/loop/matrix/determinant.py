@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, ComplexArray, deg, rad
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.loop import Loop, characteristic_loci, responses, sensitivity
@@ -50,7 +51,7 @@ def closed_loops_stability(loops: Loop) -> Stability:
     counted = encirclement_count(loops)
     from_held = count_from_held(loops) if loops.recorded_under else counted
     if isinstance(from_held, Obstacle) and isinstance(counted, Obstacle):
-        return Stability("undecided", None, counted.reason, counted.band_hz)
+        return Stability(ClosedLoop.UNDECIDED, None, counted.reason, counted.band_hz)
     poles = counted if isinstance(from_held, Obstacle) else from_held
     assert isinstance(poles, int)
     if isinstance(counted, int) and counted != poles:
@@ -58,14 +59,14 @@ def closed_loops_stability(loops: Loop) -> Stability:
             f"{counted} unstable closed-loop poles by the declared integrators and unstable poles, and {poles} by the"
             " loops that were recorded and stood: one of them is wrong"
         )
-        return Stability("undecided", None, reason)
+        return Stability(ClosedLoop.UNDECIDED, None, reason)
     if poles < 0:
         reason = f"{-poles} encirclements too many for {loops.unstable_poles} unstable poles of the plant"
-        return Stability("undecided", None, f"{reason}: declare unstable_poles of the whole plant")
+        return Stability(ClosedLoop.UNDECIDED, None, f"{reason}: declare unstable_poles of the whole plant")
     if poles:
         plural = "pole" if poles == 1 else "poles"
-        return Stability("unstable", poles, f"{poles} closed-loop {plural} in the right half plane")
-    return Stability("stable", 0, _why_stable(isinstance(counted, int)))
+        return Stability(ClosedLoop.UNSTABLE, poles, f"{poles} closed-loop {plural} in the right half plane")
+    return Stability(ClosedLoop.STABLE, 0, _why_stable(isinstance(counted, int)))
 
 
 def _why_stable(counted: bool) -> str:

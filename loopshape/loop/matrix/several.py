@@ -12,7 +12,8 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.verdict import SeveralMargins, Verdict
+from loopshape.data.result.margins import Margins
+from loopshape.data.result.verdict import Verdict
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
 from loopshape.loop.matrix.determinant import closed_loops_stability, count_from_held, encirclement_count
@@ -113,10 +114,10 @@ def _refuse_strays(requirements: Sequence[Requirements], names: Sequence[str]) -
         raise WrongUseError(what, ", ".join(strays), f"loops: {', '.join(names)}")
 
 
-def _refuse_mixed(several: SeveralRequirements, margins: Mapping[str, SeveralMargins]) -> None:
+def _refuse_mixed(several: SeveralRequirements, margins: Mapping[str, Margins]) -> None:
     """Refuse limits on what is not defined: singular values where the outputs have different units."""
     for name in (limit.name for limit in several.limits if getattr(several, limit.name) is not None):
-        if any(np.isnan(getattr(m, name)) for m in margins.values()):
+        if any(np.isnan(m[name].value) for m in margins.values()):
             raise WrongUseError(
                 f"{name} is not defined where outputs have different units",
                 f"loops {', '.join(next(iter(margins.values())).loops)}",
@@ -169,7 +170,7 @@ def _held_poles(loops: Loop) -> tuple[int | None, tuple[str, ...]]:
 def _one(
     name: str,
     matrices: Mapping[str, Loop],
-    margins: Mapping[str, SeveralMargins],
+    margins: Mapping[str, Margins],
     required: Requirements | None,
 ) -> Verdict:
     """A loop's verdict with all others closed; whether it is stable is what the count of all loops says."""

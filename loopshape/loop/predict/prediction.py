@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import db
 from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
@@ -57,7 +58,7 @@ def _one(loop: Loop, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: 
     stability = closed_loop_stability(loop)
     plant = loop.plant if loop.raw is None else loop.raw  # smoothed lines share errors, which a comparison cannot know
     S = replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
-    if stability.outcome != "stable":
+    if stability.outcome is not ClosedLoop.STABLE:
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
     if fit is None:
         step, why = _without_fit(S, stability.outcome, seed)
@@ -70,7 +71,7 @@ def _one(loop: Loop, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: 
 
 def _without_fit(S: FRF, stability: str, seed: int) -> tuple[Step | None, tuple[str, ...]]:
     """The step that the lines carry, or why they carry none."""
-    if stability != "stable":  # lines show no end of it: an unstable loop has no step
+    if stability is not ClosedLoop.STABLE:  # lines show no end of it: an unstable loop has no step
         return None, ("no fit of this FRF, and a loop that is not known to be stable: no step",)
     try:
         return step_from_lines(S, seed=seed), ()

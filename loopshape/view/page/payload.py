@@ -20,8 +20,8 @@ from loopshape.data.control.block import BLOCK_KINDS, Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop, known_above, reach_above
 from loopshape.data.requirement.limits_over import MASKED, AtPoints
-from loopshape.data.requirement.objective import Objective
 from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.requirement.weight import Objective
 from loopshape.data.response import smoothed as dense
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
