@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
     from loopshape.core import errors as errors
     from loopshape.core.errors import LoopshapeError as LoopshapeError
+    from loopshape.core.outcomes import Outcome as Outcome
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
     from loopshape.data.control.loop import Loop as Loop
@@ -38,16 +39,16 @@ if TYPE_CHECKING:
     from loopshape.data.control.shorthand import resonator as resonator
     from loopshape.data.requirement.limits_over import AtPoints as AtPoints
     from loopshape.data.requirement.limits_over import Mask as Mask
-    from loopshape.data.requirement.objective import Objective as Objective
-    from loopshape.data.requirement.requirements import Margins as Margins
     from loopshape.data.requirement.requirements import Requirements as Requirements
+    from loopshape.data.requirement.requirements import SeveralRequirements as SeveralRequirements
+    from loopshape.data.requirement.weight import Objective as Objective
     from loopshape.data.requirement.weight import Weight as Weight
     from loopshape.data.response.control_frd import from_control as from_control
     from loopshape.data.response.control_frd import to_control as to_control
     from loopshape.data.response.frf import FRF as FRF
     from loopshape.data.response.model import Fit as Fit
+    from loopshape.data.result.margins import Margins as Margins
     from loopshape.data.result.prediction import Prediction as Prediction
-    from loopshape.data.result.verdict import Outcome as Outcome
     from loopshape.data.result.verdict import Verdict as Verdict
     from loopshape.data.signal.disturbance import Disturbance as Disturbance
     from loopshape.data.signal.recording import Recording as Recording
@@ -64,18 +65,18 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
-    from loopshape.verbs.chain import interaction as interaction
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.estimates import estimate as estimate
-    from loopshape.verbs.estimates import frf_matrices as frf_matrices
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
     from loopshape.verbs.files import read_requirements as read_requirements
     from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
+    from loopshape.verbs.several import frf_matrices as frf_matrices
+    from loopshape.verbs.several import interaction as interaction
     from loopshape.view.plot import plot as plot
 
     gap: Any  # these three are called, too
@@ -93,14 +94,15 @@ _HOME = {
     "Fit": "data.response.model",
     "Loop": "data.control.loop",
     "LoopshapeError": "core.errors",
-    "Margins": "data.requirement.requirements",
+    "Margins": "data.result.margins",
     "Mask": "data.requirement.limits_over",
-    "Objective": "data.requirement.objective",
-    "Outcome": "data.result.verdict",
+    "Objective": "data.requirement.weight",
+    "Outcome": "core.outcomes",
     "Prediction": "data.result.prediction",
     "Recording": "data.signal.recording",
     "Requirements": "data.requirement.requirements",
     "Run": "data.signal.run",
+    "SeveralRequirements": "data.requirement.requirements",
     "Tuning": "design.tune",
     "Verdict": "data.result.verdict",
     "Weight": "data.requirement.weight",
@@ -113,11 +115,11 @@ _HOME = {
     "fit": "verbs.chain",
     "fixed": "data.control.fixed",
     "frf": "verbs.chain",
-    "frf_matrices": "verbs.estimates",
+    "frf_matrices": "verbs.several",
     "frfs": "verbs.chain",
     "from_control": "data.response.control_frd",
     "gain": "data.control.shorthand",
-    "interaction": "verbs.chain",
+    "interaction": "verbs.several",
     "lead_lag": "data.control.shorthand",
     "low_pass": "data.control.shorthand",
     "notch": "data.control.shorthand",

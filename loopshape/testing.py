@@ -23,14 +23,12 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import (
-    WORDS,
     line_text,
-    outcome_of,
     stability_text,
-    verdict_text,
 )
 from loopshape.io.write.check_files import Baseline, LoopCheck, against, check_files
 from loopshape.io.write.requirements import read_requirements
+from loopshape.view.verdict.tables import comparison_text
 
 AnyPath = str | PathLike[str]
 STABILITY = "stability"
@@ -55,7 +53,7 @@ def assert_controller(
     test = ControllerTest(run, controller, require)
     compared = None if baseline is None else against(Path(baseline), test.loops)
     worse = compared is not None and compared.worse and not allow_worse
-    if outcome_of(test.verdicts) != "passed" or worse:
+    if not all(one.passed for one in test.verdicts) or worse:
         raise AssertionError(test.message(compared))
 
 
@@ -100,16 +98,15 @@ class ControllerTest:
 
     def message(self, compared: Baseline | None = None) -> str:
         """All verdicts, and the comparison with a baseline, as a failed test shows them."""
-        head = f"{self.controller} on {self.run}: {WORDS[outcome_of(self.verdicts)]}"
         parts = {} if compared is None else compared.parts
-        texts = [one.text(title) for title, one in parts.items()]
-        return "\n".join([head, *(verdict_text(verdict) for verdict in self.verdicts), *texts])
+        texts = [comparison_text(title, one) for title, one in parts.items()]
+        return "\n".join([f"{self.controller} on {self.run}", *map(str, self.verdicts), *texts])
 
 
 def _line(verdict: Verdict, quantity: str) -> str:
     """The line's sentence where it does not pass, else nothing."""
     line = next(line for line in verdict.lines if line.quantity == quantity)
-    return "" if line.passed else f"{WORDS[line.outcome]}: {quantity} of loop {verdict.loop}: {line_text(line)}"
+    return "" if line.passed else f"{line.outcome.word}: {quantity} of loop {verdict.loop}: {line_text(line)}"
 
 
 def _stability(verdict: Verdict) -> str:

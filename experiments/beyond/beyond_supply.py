@@ -10,10 +10,11 @@ import numpy as np
 
 from loopshape.core.units import db, deg, rad
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.requirement.objective import Objective
-from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.requirement.weight import Objective
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
+from loopshape.data.result.margins import Margins
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording
 from loopshape.design.tune import tune

@@ -21,7 +21,7 @@ from decoupling_scores import scores  # noqa: E402
 from decoupling_static import behind, lines, loop_margins, matrices  # noqa: E402
 
 from loopshape.core.units import Array, db  # noqa: E402
-from loopshape.data.requirement.requirements import Margins  # noqa: E402
+from loopshape.data.result.margins import Margins  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.write.controllers import read_controllers  # noqa: E402
 from loopshape.io.write.requirements import read_requirements  # noqa: E402

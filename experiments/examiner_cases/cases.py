@@ -12,7 +12,7 @@ from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.loop.margin.reading import Reader
+from loopshape.loop.margin.margins import Reader
 from loopshape.loop.verdict import check
 
 RATE_HZ, DRAWS = 20_000.0, 100

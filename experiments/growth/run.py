@@ -25,8 +25,7 @@ from loopshape.design.search import LARGEST, begin, search
 from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.write.requirements import read_requirements
-from loopshape.loop.loops import loops_of
-from loopshape.loop.verdict import check
+from loopshape.loop.verdict import check, loops_of
 from loopshape.view.style import new_figure, png, styled
 
 HERE = Path(__file__).parent

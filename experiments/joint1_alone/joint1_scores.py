@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from loopshape.data.requirement.requirements import Margins
 from loopshape.data.response.model import Fit
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
 from loopshape.toolbox.arm.source import number, value
 

@@ -21,9 +21,10 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.core.units import deg
-from loopshape.data.requirement.requirements import LIMITS, Margins, Requirements
+from loopshape.data.requirement.requirements import LIMITS, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run

@@ -49,14 +49,14 @@ def json_ready(value: Any, unknown: str | None = "nan") -> Any:
         return value
     if isinstance(value, float):
         return value if isfinite(value) else unknown if isnan(value) else str(value)
+    if unknown is None and hasattr(value, "to_dict"):
+        return value.to_dict()
     if isinstance(value, Mapping):
         return {str(k): json_ready(v, unknown) for k, v in value.items()}
     if isinstance(value, list | tuple):
         return [json_ready(v, unknown) for v in value]
     if isinstance(value, PurePath):
         return str(value)
-    if unknown is None and hasattr(value, "to_dict"):
-        return value.to_dict()
     if unknown is None and hasattr(value, "to_table"):
         return json_ready(value.to_table(), None)
     if is_dataclass(value) and not isinstance(value, type):

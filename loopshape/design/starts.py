@@ -16,16 +16,16 @@ from loopshape.core.kernels.loops import margins as columns
 from loopshape.core.kernels.loops.quick_evaluate import QuickReadings, quick_evaluate
 from loopshape.core.units import Array
 from loopshape.data.control.block import BlockTemplate, Free
-from loopshape.data.requirement.requirements import LIMIT_OF
+from loopshape.data.requirement.requirements import LIMIT_OF, Scale
 from loopshape.data.requirement.weight import over
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.problem.measures import low_weights
 from loopshape.design.problem.problem import Problem
-from loopshape.design.problem.rows import scaled
+from loopshape.design.problem.rows import LEAST, scaled
 from loopshape.design.search import LARGEST, PENALTY, SearchResult, begin, search
 from loopshape.design.structure import variables_of
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
-from loopshape.loop.margin.margins import LOGARITHMS, PLAIN
+from loopshape.loop.margin.margins import COLUMN_OF
 
 #: steps that a search is given in the race's three heats, and after a leap; a leap that comes this near goes on
 HEATS, LEAP, NEAR = (15, 40, 60), 15, 0.05
@@ -167,17 +167,12 @@ def _limits(p: Problem) -> tuple[Array, Array, Array]:
     """Levels (points, columns) of the limits in the kernel's units, nan without one; signs and factors of rooms."""
     level = np.full((p.points, columns.COLUMNS), np.nan)
     sign, factor = np.ones(columns.COLUMNS), np.ones(columns.COLUMNS)
-    for name, limit in p.limits.items():
-        if name == "sensitivity_peak_db":  # the kernel reads its inverse
-            level[:, columns.LN_MODULUS] = np.fmax(level[:, columns.LN_MODULUS], -scaled(name, limit))
-        elif name in LOGARITHMS:
-            k = LOGARITHMS[name]
-            level[:, k] = np.fmax(level[:, k], scaled(name, limit))
-            sign[k] = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
-        elif name in PLAIN:
-            k = PLAIN[name]
-            level[:, k], factor[k] = limit, scaled(name, np.array(2.0)) - scaled(name, np.array(1.0))
-            sign[k] = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
+    for name in p.limits.keys() & COLUMN_OF:
+        k, row, limit = COLUMN_OF[name], LIMIT_OF[name], p.limits[name]
+        level[:, k] = np.fmax(level[:, k], row.on_column(np.maximum(limit, LEAST) if row.scale is Scale.LN else limit))
+        sign[k] = row.column_sign
+        if row.scale is Scale.PLAIN:
+            factor[k] = scaled(name, np.array(2.0)) - scaled(name, np.array(1.0))
     return level, sign, factor
 
 

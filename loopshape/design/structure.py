@@ -11,7 +11,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
 
 #: a problem needs one of these: without them a loop comes as near to -1 as it likes
 NEAR = tuple(limit.name for limit in LIMITS if limit.keeps_off)
@@ -43,6 +43,12 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -
             f"error_rms of loop {requirements.loop!r} needs what disturbs the loop",
             "no disturbance",
             "give a recording of the closed loop without excitation (--disturbance RUN, disturbance=...)",
+        )
+    if unread := [name for name in requirements.limited() if not (LIMIT_OF[name].magnitude or LIMIT_OF[name].own_rows)]:
+        raise WrongUseError(
+            f"the requirements of loop {requirements.loop!r} cannot all be tuned for",
+            ", ".join(unread),
+            "leave them out, tune, and check the controller with them",
         )
     weighted = requirements.weighted_norm is not None or requirements.objective.weighted_norm > 0.0
     if not weighted and all(getattr(requirements, name) is None for name in NEAR):

@@ -8,6 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import LIMIT_OF
@@ -54,8 +55,7 @@ class TightenedSolution:
     @property
     def rank(self) -> tuple[int, float, float]:
         """What makes one better than another, smallest first: outcome, worst miss of a limit, -(objective)."""
-        stable = {m.stable for m in self.verdict.margins.values()}
-        outcome = 3 if "unstable" in stable else ("passed", "undecided", "failed").index(self.verdict.outcome)
+        outcome = self.verdict.outcome.severity + (ClosedLoop.UNSTABLE in self.verdict.stabilities)
         return outcome, round(0.0 if outcome == 0 else miss(self.verdict), 4), -self.objective
 
     @property
@@ -88,7 +88,7 @@ def norm(verdict: Verdict) -> tuple[float, tuple[float, float] | None]:
     their largest high end. None where no covariance is known.
     """
     every = list(verdict.margins.values())
-    ends = [m.intervals["weighted_norm"] for m in every if "weighted_norm" in m.intervals]
+    ends = [ends for m in every if (ends := m["weighted_norm"].interval) is not None]
     interval = (max(low for low, _ in ends), max(high for _, high in ends)) if len(ends) == len(every) else None
     return max(m.weighted_norm for m in every), interval
 
@@ -193,7 +193,7 @@ def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None
     out = {}
     for name, mine in read.items():
         sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
-        ends = [m.intervals.get(name, (getattr(m, name),) * 2) for m in verdict.margins.values()]
+        ends = [m[name].ends for m in verdict.margins.values()]
         bad = np.full(p.points, np.nan)
         bad[slice(None) if points is None else points] = [low if sign > 0.0 else high for low, high in ends]
         with np.errstate(invalid="ignore"):
@@ -248,6 +248,6 @@ def _tightened(
     if wish is not None:  # of C alone, without an interval, and between lines read a little otherwise
         missed = -lines[name] / wish if lines[name] < 0.0 else 0.0
         out[name] = float(np.max(before.get(name, 0.0))) + (2.0 * missed + 1e-5 if missed else 0.0)
-    unsure = np.array([m.stable != "stable" for m in verdict.margins.values()])
+    unsure = np.array([m.stable is not ClosedLoop.STABLE for m in verdict.margins.values()])
     sure, dip = (np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points) for name in (SURE, DIP))
     return out | {SURE: sure + SURER * unsure, DIP: dip + HIGHER * now.dipped}

@@ -9,10 +9,12 @@ from statistics import NormalDist
 
 import numpy as np
 
+from loopshape.core.outcomes import Change, ClosedLoop
 from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.requirements import LIMITS, Limit, Margins
+from loopshape.data.requirement.requirements import LIMITS, Limit
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 
 #: changes without an error of their own count from here on: what four figures do not show is none
@@ -60,7 +62,7 @@ def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
     stabilities = [x for loop in both for x in _stabilities(loop, theirs[loop].verdict, mine[loop].verdict)]
     pairs = [pair for loop in both for pair in _pairs(theirs[loop], mine[loop])]
     margins = _judged(pairs)
-    moved = {change.loop for change in margins if change.outcome != "unchanged"}
+    moved = {change.loop for change in margins if change.outcome is not Change.UNCHANGED}
     notes = [note for loop in both for note in _underneath(theirs[loop], mine[loop], loop in moved)]
     return Comparison(
         tuple(sorted(lines, key=lambda x: not x.worse)),
@@ -116,8 +118,8 @@ class _Pair:
 
     def __init__(self, loop: str, recording: str, limit: Limit, was: Margins, found: Margins, common: bool) -> None:
         self.loop, self.recording, self.limit = loop, recording, limit
-        self.before, self.now = float(getattr(was, limit.name)), float(getattr(found, limit.name))
-        self.was, self.found = was.intervals.get(limit.name), found.intervals.get(limit.name)
+        self.before, self.now = was[limit.name].value, found[limit.name].value
+        self.was, self.found = was[limit.name].interval, found[limit.name].interval
         self.common = common
         below_was, above_was = _reach(self.before, self.was)
         below_now, above_now = _reach(self.now, self.found)
@@ -146,7 +148,7 @@ def _pairs(before: Checked, now: Checked) -> list[_Pair]:
 
 def _comparable(was: Margins, found: Margins) -> bool:
     """Margins mean room where the loop is stable: between a loop that is and one that is not nothing is compared."""
-    return was.stable == found.stable != "unstable"
+    return was.stable is found.stable is not ClosedLoop.UNSTABLE
 
 
 def _judged(pairs: Sequence[_Pair]) -> list[MarginChange]:
@@ -158,19 +160,18 @@ def _judged(pairs: Sequence[_Pair]) -> list[MarginChange]:
 
 
 def _judge(pair: _Pair, widen: float) -> MarginChange:
-    made = MarginChange(
-        pair.loop, pair.recording, pair.limit.name, pair.limit.unit, pair.before, pair.now, None, pair.common, ""
-    )
-    low = high = made.change
-    if not isfinite(made.change) and not pair.common:
+    limit = pair.limit
+    low = high = change = 0.0 if pair.now == pair.before else pair.now - pair.before
+    if not isfinite(change) and not pair.common:
         low, high = _apart(pair)
     elif pair.below > 0.0 or pair.above > 0.0:
-        low, high = made.change - widen * pair.below, made.change + widen * pair.above
-    interval = (low, high) if low < high and isfinite(made.change) else None
-    floor = 1.0 if pair.limit.unit in ("dB", "deg") else 0.0
+        low, high = change - widen * pair.below, change + widen * pair.above
+    interval = (low, high) if low < high and isfinite(change) else None
+    floor = 1.0 if limit.unit in ("dB", "deg") else 0.0
     finite = [abs(x) for x in (pair.before, pair.now) if isfinite(x)]
-    outcome = _outcome(low, high, TINY * max([*finite, floor]), pair.limit.sense)
-    return MarginChange(**{**vars(made), "interval": interval, "outcome": outcome})
+    outcome = _outcome(low, high, TINY * max([*finite, floor]), limit.sign)
+    numbers = pair.before, pair.now, interval, pair.common
+    return MarginChange(pair.loop, pair.recording, limit.name, limit.unit, *numbers, outcome)
 
 
 def _apart(pair: _Pair) -> tuple[float, float]:
@@ -179,12 +180,10 @@ def _apart(pair: _Pair) -> tuple[float, float]:
     return (inf, inf) if low > was_high else (-inf, -inf) if high < was_low else (-inf, inf)
 
 
-def _outcome(low: float, high: float, tiny: float, sense: str) -> str:
-    if low > tiny:
-        return "better" if sense == "at_least" else "worse"
-    if high < -tiny:
-        return "worse" if sense == "at_least" else "better"
-    return "unchanged"
+def _outcome(low: float, high: float, tiny: float, sign: float) -> Change:
+    if not (low > tiny or high < -tiny):
+        return Change.UNCHANGED
+    return Change.BETTER if (low > tiny) == (sign > 0.0) else Change.WORSE
 
 
 def _only(these: Mapping[str, Checked], others: Mapping[str, Checked]) -> list[str]:

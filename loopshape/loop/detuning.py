@@ -14,9 +14,10 @@ from functools import partial
 import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
-from loopshape.core.units import Array, from_db
+from loopshape.core.outcomes import ClosedLoop
+from loopshape.core.units import Array
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMITS, Limit, Margins, Requirements
+from loopshape.data.requirement.requirements import LIMITS, Requirements
 from loopshape.data.result.detuning import (
     SEARCHED_PERCENT,
     STABILITY,
@@ -26,10 +27,10 @@ from loopshape.data.result.detuning import (
     MovedResonance,
     Reach,
 )
+from loopshape.data.result.margins import Margins, Reading
 from loopshape.identify.smooth.resonances import Resonance
-from loopshape.loop.margin.margins import LOGARITHMS, PLAIN
-from loopshape.loop.margin.reading import Reader
-from loopshape.loop.shifted import Plant, Reading, plant_of, read, scatter_of, seen_resonances
+from loopshape.loop.margin.margins import COLUMN_OF, Reader
+from loopshape.loop.shifted import Plant, ShiftedColumns, plant_of, read, scatter_of, seen_resonances
 from loopshape.loop.stability.obstacles import REACH_95
 
 #: steps between shifts, in per cent: up to what is required, and farther out
@@ -56,7 +57,7 @@ def detuning(loop: Loop, margins: Margins, requirements: Requirements) -> Detuni
     loop are carried along: too short where a moved resonance is known worse than what sets the margin now. Where
     nothing else is required it is the shift that makes the loop unstable.
     """
-    if margins.stable == "undecided" or loop.frequency_hz.size < 2:
+    if margins.stable is ClosedLoop.UNDECIDED or loop.frequency_hz.size < 2:
         return None
     seen, required = seen_resonances(loop), requirements.detuning_percent
     plant = plant_of(loop, seen)
@@ -80,10 +81,8 @@ def with_detuning(loop: Loop, margins: Margins, requirements: Requirements) -> M
     found = detuning(loop, margins, requirements)
     if found is None:
         return margins
-    intervals = margins.intervals
-    if intervals:
-        intervals = {**intervals, "detuning_percent": found.interval_percent}
-    return replace(margins, detuning_percent=found.worst.percent, detuning=found, intervals=intervals)
+    reading = Reading(found.worst.percent, found.interval_percent if margins.intervals else None)
+    return replace(margins.with_readings(detuning_percent=reading), detuning=found)
 
 
 def worst_shift(
@@ -103,7 +102,7 @@ def worst_shift(
     slacks = whole.slacks(worst, -1.0)
     closer = whole.required - whole.signs * CLOSER * np.minimum(slacks, 0.0)
     missed = np.flatnonzero((slacks < 0.0) & np.isfinite(closer))
-    return worst, {whole.limits[k].name: _own_unit(whole.limits[k], float(closer[k])) for k in missed}
+    return worst, {whole.limits[k].name: float(whole.limits[k].value(closer[k])) for k in missed}
 
 
 def _shifts(required: float | None, seen: tuple[Resonance, ...], loop: Loop) -> Array:
@@ -135,7 +134,7 @@ class _Search:
         loop: Loop,
         margins: Margins,
         requirements: Requirements,
-        unmoved: Reading,
+        unmoved: ShiftedColumns,
         moved: Callable[[float], Plant],
         shifts: Array,
     ) -> None:
@@ -143,14 +142,14 @@ class _Search:
         self.reader = Reader.of(requirements)
         self.closely = requirements.detuning_percent is not None
         self.drawn = self.closely and loop.scatter is not None
-        self.limits = [x for x in LIMITS if x.name in _COLUMNS and getattr(requirements, x.name) is not None]
-        self.columns = np.array([_COLUMNS[x.name] for x in self.limits], dtype=int)
-        self.signs = np.array([1.0 if _least(x) else -1.0 for x in self.limits])
-        self.required = np.array([_scaled(x, float(getattr(requirements, x.name))) for x in self.limits])
-        self.readings: dict[float, Reading] = {}
+        self.limits = [x for x in LIMITS if x.name in COLUMN_OF and getattr(requirements, x.name) is not None]
+        self.columns = np.array([COLUMN_OF[x.name] for x in self.limits], dtype=int)
+        self.signs = np.array([x.column_sign for x in self.limits])
+        self.required = np.array([x.on_column(float(getattr(requirements, x.name))) for x in self.limits])
+        self.readings: dict[float, ShiftedColumns] = {}
         self.scatters: dict[float, tuple[Array, Array]] = {}
         self.poles = self.reading(0.0).poles
-        now = np.array([_scaled_value(x, getattr(margins, x.name)) for x in self.limits])
+        now = np.array([x.on_column(margins[x.name].value) for x in self.limits])
         with np.errstate(invalid="ignore"):
             bias = unmoved.values[self.columns] - now
         self.now = self.signs * (now - self.required)
@@ -159,16 +158,12 @@ class _Search:
 
     def _known_reach(self, end: float, now: Array) -> Array:
         """How far the bad (-1) or good (1) end of the unmoved loop's intervals lies from the estimate `now`."""
-        out = np.zeros(len(self.limits))
-        for k, x in enumerate(self.limits):
-            interval = self.margins.intervals.get(x.name)
-            if interval is not None:
-                with np.errstate(invalid="ignore"):
-                    ends = self.signs[k] * (np.array([_scaled_value(x, value) for value in interval]) - now[k])
-                out[k] = ends.min() if end < 0.0 else ends.max()
-        return np.where(np.isfinite(out), out, 0.0)
+        ends = np.array([x.on_column(np.array(self.margins[x.name].ends)) for x in self.limits]).reshape(-1, 2)
+        with np.errstate(invalid="ignore"):
+            reach = end * np.max(end * self.signs[:, None] * (ends - now[:, None]), axis=1)
+        return np.where(np.isfinite(reach), reach, 0.0)
 
-    def reading(self, percent: float) -> Reading:
+    def reading(self, percent: float) -> ShiftedColumns:
         """The loop at a shift."""
         if percent not in self.readings:
             self.readings[percent] = read(self.loop, self.moved(0.01 * percent), self.reader)
@@ -217,7 +212,7 @@ class _Search:
 
     def both(self) -> tuple[Reach, Reach]:
         """Up and down."""
-        if self.margins.stable == "unstable":
+        if self.margins.stable is ClosedLoop.UNSTABLE:
             none = Reach(0.0, False, STABILITY, (0.0, 0.0))
             return none, none
         return self.one_way(1.0), self.one_way(-1.0)
@@ -277,14 +272,14 @@ class _Search:
 
     def lost(self) -> Lost | None:
         """The worst miss within +-2 %, where it is more than slight and the unmoved loop holds."""
-        if self.margins.stable != "stable" or bool(np.any(self.now < 0.0)):
+        if self.margins.stable is not ClosedLoop.STABLE or bool(np.any(self.now < 0.0)):
             return None
         near = self.shifts[self.shifts <= WARNED_PERCENT + 1e-9].tolist()
         within = [way * x for way in (1.0, -1.0) for x in near]
         unstable = [x for x in within if not self.stable(x)]
         if unstable:
             return self._unstable(min(unstable, key=abs))
-        slight = np.array([SLIGHT_DEG if x.unit == "deg" else SLIGHT_DB / _step(x) for x in self.limits])
+        slight = np.array([SLIGHT_DEG if x.unit == "deg" else x.of_db(SLIGHT_DB) for x in self.limits])
         if not slight.size:
             return None
         misses = np.array([-self.slacks(x) / slight for x in within])
@@ -298,9 +293,9 @@ class _Search:
 
     def _lost(self, percent: float, j: int) -> Lost:
         limit, x = self.limits[j], self.reading(percent)
-        left = _own_unit(limit, float(x.values[self.columns[j]] - self.bias[j]))
-        required = _own_unit(limit, float(self.required[j]))
-        nominal = float(getattr(self.margins, limit.name))
+        left = float(limit.value(x.values[self.columns[j]] - self.bias[j]))
+        required = float(limit.value(self.required[j]))
+        nominal = self.margins[limit.name].value
         return Lost(percent, limit.name, limit.unit, nominal, left, required, float(x.at_hz[self.columns[j]]))
 
 
@@ -329,37 +324,3 @@ def _block_at(loop: Loop, frequency_hz: float, shift: float) -> int:
             abs(np.log(abs(value[1]) / max(abs(value[0]), 1e-12))) + abs(np.angle(value[1] * value[0].conj()))
         )
     return int(np.argmax(changes)) + 1
-
-
-_COLUMNS = PLAIN | LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
-
-
-def _least(limit: Limit) -> bool:
-    """Whether the kernel's column is to be large."""
-    return limit.sense == "at_least" or limit.name == "sensitivity_peak_db"
-
-
-def _scaled(limit: Limit, value: float) -> float:
-    """A limit on the scale of the kernel's column."""
-    if limit.name == "sensitivity_peak_db":
-        return -float(np.log(from_db(value)))
-    return float(np.log(value)) if limit.name in LOGARITHMS else value
-
-
-def _scaled_value(limit: Limit, value: float) -> float:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return float(_scaled(limit, np.float64(value)))
-
-
-def _own_unit(limit: Limit, value: float) -> float:
-    if limit.name == "sensitivity_peak_db":
-        return -float(value) * _DB
-    return float(np.exp(value)) if limit.name in LOGARITHMS else value
-
-
-def _step(limit: Limit) -> float:
-    """dB for one unit of the kernel's column."""
-    return 1.0 if limit.name in PLAIN else _DB
-
-
-_DB = 20.0 / float(np.log(10.0))

@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, from_db
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMITS, Limit, Margins, Requirements
+from loopshape.data.requirement.requirements import Limit, Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.verdict import Order, Outcome, SettledBy, Verdict
+from loopshape.data.result.margins import Margins
+from loopshape.data.result.verdict import Order, SettledBy, Verdict
 from loopshape.loop.margin.between import path_of
 from loopshape.loop.points import point_outcome
 from loopshape.loop.stability.holes import POOR, median_of_five
@@ -62,10 +64,10 @@ def with_orders(found: Verdict, loops: Sequence[Loop], frfs: Sequence[FRF], requ
 
 def _orders(margins: Margins, loop: Loop, frf: FRF, requirements: Requirements) -> list[Order]:
     """What one operating point needs; nothing where it is decided."""
-    stability = closed_loop_stability(loop) if margins.stable == "undecided" else None
+    stability = closed_loop_stability(loop) if margins.stable is ClosedLoop.UNDECIDED else None
     asked = requirements.of(loop.plant.operating_point)
-    limits = [(x, v) for x in LIMITS if (v := getattr(asked, x.name)) is not None]
-    limits = [(x, v) for x, v in limits if point_outcome(margins, x.name, v) == "undecided"]
+    limits = [(x, v) for x in asked.limits if (v := getattr(asked, x.name)) is not None]
+    limits = [(x, v) for x, v in limits if point_outcome(margins, x.name, v) is Outcome.UNDECIDED]
     if stability is None and not limits:
         return []
     name = frf.recordings[0] if frf.recordings else frf.recording
@@ -105,15 +107,15 @@ def _times(least: float, std_over: float) -> float:
 
 def _for_limit(loop: Loop, margins: Margins, limit: Limit, required: float) -> Iterator[_Wanted]:
     """What a limit wants that the margins do not decide."""
-    value, f = getattr(margins, limit.name), loop.frequency_hz
+    read, f = margins[limit.name], loop.frequency_hz
     first, last = float(f[0]), float(f[-1])
-    at_hz = margins.at_hz.get(limit.name, float(f[np.argmin(np.abs(1.0 + loop.L))]))
+    at_hz = float(f[np.argmin(np.abs(1.0 + loop.L))]) if read.at_hz is None else read.at_hz
     if limit.name == "error_rms":
         return
-    if value != value and not in_sight(loop):
+    if read.value != read.value and not in_sight(loop):
         yield _Wanted(*crossover_below(loop))
         return
-    if limit.name in margins.bounds and at_hz >= last * (1.0 - 1e-9):
+    if read.bound is not None and at_hz >= last * (1.0 - 1e-9):
         yield _Wanted(last, HIGHER * (decided_at_hz(limit.name, required, margins) or 2.0 * last))
         return
     gap = next((gap for gap in margins.missing_hz if gap[0] < at_hz < gap[1]), None)
@@ -122,12 +124,11 @@ def _for_limit(loop: Loop, margins: Margins, limit: Limit, required: float) -> I
     elif at_hz <= first:
         yield _Wanted(LOWER * first, first)
     else:
-        low, high = margins.intervals.get(limit.name, (value, value))
-        if not np.isfinite([low, high]).any():  # errors as large as L left nothing to read
+        if not np.isfinite(read.ends).any():  # errors as large as L left nothing to read
             yield _drowned(loop)
             return
-        sign, bad, good = (1.0, low, high) if limit.sense == "at_least" else (-1.0, high, low)
-        more = min(max(SPARE * longer(value, bad, good, required, sign), 1.0), MOST)
+        bad, good = read.ends[:: int(limit.sign)]
+        more = min(max(SPARE * longer(read.value, bad, good, required, limit.sign), 1.0), MOST)
         yield _Wanted(at_hz / ABOUT, min(at_hz * ABOUT, max(last, at_hz)), more, FINER_LIMIT)
 
 

@@ -8,18 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Margins
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import STABLE_RANK
 
 #: quantities that say how close L comes to -1, the most telling first
 CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x.closeness)
 #: why a point is the worst where nothing is missed
 NEAREST = "nearest to -1"
-#: what counts as worse first
-SEVERITY = {"failed": 0, "undecided": 1, "passed": 2}
 
 
 @dataclass(frozen=True)
@@ -31,20 +30,16 @@ class Worst:
     why: str
 
 
-def point_outcome(margins: Margins, quantity: str, required: float) -> str:
-    """What these data say of one requirement at one operating point: "passed", "failed" or "undecided"."""
-    value = getattr(margins, quantity)
-    if value != value:
-        return "undecided"
-    low, high = margins.intervals.get(quantity, (value, value))
-    at_least = LIMIT_OF[quantity].sense == "at_least"
-    if quantity in margins.bounds:
-        best = margins.bounds[quantity]
-        low, high = (low, max(high, best)) if at_least else (min(low, best), high)
-    surely, perhaps = (low >= required, high >= required) if at_least else (high <= required, low <= required)
-    at_hz = margins.at_hz.get(quantity, 0.0)
-    perhaps = perhaps or any(low < at_hz < high for low, high in margins.missing_hz)
-    return "passed" if surely else "undecided" if perhaps else "failed"
+def point_outcome(margins: Margins, quantity: str, required: float) -> Outcome:
+    """What these data say of one requirement at one operating point."""
+    read = margins[quantity]
+    if read.value != read.value:
+        return Outcome.UNDECIDED
+    slacks = [LIMIT_OF[quantity].sign * (end - required) for end in read.span]
+    if min(slacks) >= 0.0:
+        return Outcome.PASSED
+    perhaps = max(slacks) >= 0.0 or any(low < (read.at_hz or 0.0) < high for low, high in margins.missing_hz)
+    return Outcome.UNDECIDED if perhaps else Outcome.FAILED
 
 
 def margins_of(loop: Loop, k: int, verdict: Verdict | None) -> Margins | None:
@@ -60,36 +55,38 @@ def worst_of(loops: Sequence[Loop], verdict: Verdict | None = None) -> Worst:
     Without a verdict the least |1 + L| over the lines.
     """
     found = [margins_of(loop, k, verdict) for k, loop in enumerate(loops)]
-    ranks = [2 if m is None else STABLE_RANK[m.stable] for m in found]
-    shaky = [k for k, rank in enumerate(ranks) if rank == min(ranks)]
+    stable = [ClosedLoop.STABLE if m is None else m.stable for m in found]
+    least = ClosedLoop.worst(stable)
+    shaky = [k for k, one in enumerate(stable) if one is least]
     k = min(shaky, key=lambda k: _least_distance(loops[k], found[k]))
     at_hz = _nearest_hz(loops[k], found[k])
-    if min(ranks) < 2:
-        return Worst(k, at_hz, "unstable" if min(ranks) == 0 else "stability undecided")
+    if least is not ClosedLoop.STABLE:
+        return Worst(k, at_hz, "unstable" if least is ClosedLoop.UNSTABLE else "stability undecided")
     missed = _missed(verdict)
     names = [loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)]
     if missed is None or missed.recording not in names:
         return Worst(k, at_hz, NEAREST)
     k = names.index(missed.recording)
-    word = "misses" if missed.outcome == "failed" else "undecided:"
+    word = "misses" if missed.outcome is Outcome.FAILED else "undecided:"
     at_hz = missed.at_hz if missed.at_hz is not None else _nearest_hz(loops[k], found[k])
     return Worst(k, at_hz, f"{word} {LIMIT_OF[missed.quantity].label}")
 
 
 def _missed(verdict: Verdict | None) -> RequirementResult | None:
-    lines = [] if verdict is None else [x for x in verdict.lines if x.quantity in CLOSENESS and x.outcome != "passed"]
-    return min(lines, key=lambda x: (SEVERITY[x.outcome], CLOSENESS.index(x.quantity)), default=None)
+    lines = [] if verdict is None else [x for x in verdict.lines if x.quantity in CLOSENESS and not x.passed]
+    return min(lines, key=lambda x: (-x.outcome.severity, CLOSENESS.index(x.quantity)), default=None)
 
 
 def _least_distance(loop: Loop, margins: Margins | None) -> float:
     if margins is None:
         return float(np.min(np.abs(1.0 + loop.L)))
-    return margins.intervals.get("modulus_margin", (margins.modulus_margin,))[0]
+    return margins["modulus_margin"].ends[0]
 
 
 def _nearest_hz(loop: Loop, margins: Margins | None) -> float:
     nearest = float(loop.frequency_hz[np.argmin(np.abs(1.0 + loop.L))])
-    return nearest if margins is None else margins.at_hz.get("modulus_margin", nearest)
+    at_hz = None if margins is None else margins["modulus_margin"].at_hz
+    return nearest if at_hz is None else at_hz
 
 
 #: places of a circular error that stand for all of them

@@ -18,7 +18,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.loop.margin.between import followed
-from loopshape.loop.margin.reading import Reader
+from loopshape.loop.margin.margins import Reader
 from loopshape.loop.stability.low_end import DOWN, in_sight, low_models
 from loopshape.loop.stability.stability import count_unstable, swing_near
 
@@ -31,7 +31,7 @@ MATTERS, NEAR = 0.1, np.array([-0.05, -0.02, 0.0, 0.02, 0.05])
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class ShiftedColumns:
     """Margins (columns,) of the kernel, where they lie, unstable poles by the bare count (None: it does not close).
 
     `clear` is the least distance of L from -1 over the deviation of L there.
@@ -183,7 +183,7 @@ def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
     return tuple(x for x, c in zip(found, largest, strict=True) if c * x.peak > MATTERS)
 
 
-def read(loop: Loop, plant: Plant, reader: Reader) -> Reading:
+def read(loop: Loop, plant: Plant, reader: Reader) -> ShiftedColumns:
     """What a loop's margins and count are with its plant as it stands moved."""
     f, C, above, C_above, C_below = _responses(loop, plant)
     L = C * plant.P[: f.size]
@@ -193,10 +193,10 @@ def read(loop: Loop, plant: Plant, reader: Reader) -> Reading:
     integrators = (loop.integrators or 0) + loop.controller.integrators()
     near = 0.0 if plant.P_below.size else swing_near(loop)
     poles = count_unstable(L, integrators, loop.unstable_poles or 0, C_below * plant.P_below, near)
-    return Reading(found[0], at[0], poles, clear)
+    return ShiftedColumns(found[0], at[0], poles, clear)
 
 
-def scatter_of(loop: Loop, plant: Plant, reader: Reader, reading: Reading) -> tuple[Array, Array]:
+def scatter_of(loop: Loop, plant: Plant, reader: Reader, reading: ShiftedColumns) -> tuple[Array, Array]:
     """Bias and half 95 % interval (columns,) of a reading, by draws of the plant's error; infinite where one jumps."""
     draws = plant.draws
     if draws is None:

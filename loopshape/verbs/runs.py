@@ -8,33 +8,36 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.profile import Profile, zone_shares
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction
-from loopshape.data.result.verdict_words import outcome_of, page_text
+from loopshape.data.result.verdict_words import page_text
 from loopshape.design.tune import Tuning
+from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.folder_lock import locked
 from loopshape.io.profiles import joined, profile_of
 from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import write_fits
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs, read_several_loops
-from loopshape.io.write.junit import write_junit
-from loopshape.io.write.markdown import write_markdown
 from loopshape.io.write.predictions import read_predictions
 from loopshape.io.write.requirements import read_required, read_requirements
 from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.predict.remeasured import Remeasured
 from loopshape.verbs import chain
 from loopshape.verbs.files import read
+from loopshape.verbs.several import interaction
 from loopshape.verbs.watch import Unwatched, Watch
+from loopshape.view.verdict.junit import junit
+from loopshape.view.verdict.markdown import markdown
 
 if TYPE_CHECKING:
     from loopshape.data.response.interaction import Interaction
-    from loopshape.design.turns import TunedLoops
+    from loopshape.design.several import SeveralTuning
 
 
 def fit(
@@ -77,7 +80,7 @@ def interactions(
     found = []
     for one in read_several_loops(run):
         mine = {c.loop: c for c in closing if c.loop in (loops or one.loop.split("+"))}
-        found.append(chain.interaction(one, loops, mine, **options))
+        found.append(interaction(one, loops, mine, **options))
     return found
 
 
@@ -91,7 +94,7 @@ class TunedRun:
     tunings: tuple[Tuning, ...]
     missed: str
     profile: Profile | None = None
-    turns: TunedLoops | None = None
+    turns: SeveralTuning | None = None
 
 
 def tune(
@@ -112,8 +115,12 @@ def tune(
 
     Each by itself, `each` called with it as soon as it is tuned, or with `matrix` in turn with the others closed; a
     profile then limits each with the others closed. Refuses a file to `start` from without any of these loops, and with
-    `matrix` a diagram and a disturbance.
+    `matrix` what is of single loops alone.
     """
+    if matrix and grow:
+        raise WrongUseError(
+            "structures grow for one loop at a time", f"--grow {grow} with --matrix", "grow each loop without --matrix"
+        )
     given, together = read_required(require) if matrix else (read_requirements(require), None)
     requirements, chosen = joined(profile, given)
     began = _to_start(start, [one.loop for one in requirements])
@@ -124,18 +131,16 @@ def tune(
             each(tuning)
         return TunedRun(tuple(tunings), _missed(tunings), chosen)
     if diagram is not None:
-        raise WrongUseError(
-            "a diagram closes its other loops itself, and is tuned at its one open block", "--matrix and a diagram",
-            "leave --matrix out",
-        )  # fmt: skip
-    found = chain.tune(
-        read_several_loops(run), requirements, start=[*began.values()], together=together,
-        recorded_under=recorded_under(run), disturbance=disturbance, grow=grow, watch=watch, **search,
-    )  # fmt: skip
-    if isinstance(found, Tuning):
-        return TunedRun((found,), _missed([found]), chosen)
-    missed = "" if found.feasible else "the loops do not meet all requirements together"
-    return TunedRun(tuple(found.tunings.values()), missed, chosen, found)
+        raise WrongUseError("a diagram is tuned at one block", "several loops at once", "leave --matrix out")
+    if disturbance is not None:
+        raise WrongUseError("the rms of an error is kept by one loop", "several loops at once", "leave --matrix out")
+    search.pop("least_gain", None)  # of growth
+    frfs, under = read_several_loops(run), recorded_under(run)
+    turns = chain.tune(
+        frfs, requirements, start=[*began.values()], together=together, recorded_under=under, watch=watch, **search
+    )
+    missed = "" if turns.feasible else "the loops do not meet all requirements together"
+    return TunedRun(tuple(turns.tunings.values()), missed, chosen, turns)
 
 
 def _alone(
@@ -169,11 +174,11 @@ def _missed(found: Sequence[Tuning]) -> str:
     """Why tunings are not enough; "" where all meet their requirements."""
     if all(t.feasible for t in found):
         return ""
-    unstable = [t.controller.loop for t in found if "unstable" in {m.stable for m in t.verdict.margins.values()}]
+    unstable = [t.controller.loop for t in found if ClosedLoop.UNSTABLE in t.verdict.stabilities]
     reason = "the nearest is shown above"
     if unstable:
         reason = f"no start was found stable in loop {', '.join(unstable)}"
-    elif all(t.outcome != "failed" for t in found):
+    elif all(t.outcome is not Outcome.FAILED for t in found):
         reason = "the nearest, shown above, holds by the estimates and not by their 95 % intervals"
     return f"no controller was found that meets all requirements: {reason}"
 
@@ -202,7 +207,7 @@ class CheckedRun:
     @property
     def outcome(self) -> str | None:
         """The outcome of all loops, None where nothing was required."""
-        return outcome_of(self.checks.verdicts) if self.required else None
+        return Outcome.worst(one.outcome for one in self.checks.verdicts) if self.required else None
 
     def text(self, run: str = "RUN") -> str:
         """The verdict in one sentence, and of each loop its requirements in 80 columns."""
@@ -256,13 +261,15 @@ def check(
 def write_reports(found: CheckedRun, reports: Reports) -> None:
     """Write the files that report on a check."""
     checks, compared = found.checks, found.compared
+    for path in (one for one in (reports.junit, reports.markdown) if one is not None):
+        make_folder(path.parent)
     if reports.save_verdict is not None:
         write_verdicts(reports.save_verdict, [loop.checked for loop in checks.single])
     if reports.junit is not None:
         whole = None if compared is None else compared.whole
-        write_junit(reports.junit, checks.verdicts, whole, allow_worse=reports.allow_worse)
+        write_text_whole(reports.junit, junit(checks.verdicts, whole, allow_worse=reports.allow_worse))
     if reports.markdown is not None:
-        write_markdown(reports.markdown, checks.verdicts, None if compared is None else compared.parts)
+        write_text_whole(reports.markdown, markdown(checks.verdicts, None if compared is None else compared.parts))
 
 
 def predict(run: Path, controllers: Path, *, seed: int = 0, watch: Watch | None = None) -> tuple[Prediction, ...]:

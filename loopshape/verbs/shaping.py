@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,10 +12,10 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.block import Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.loop.loops import closed_loops, matrix_loops, of_all, plants_met, unstable_poles_met
+from loopshape.loop.matrix.several import loop_matrices, plants_met, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
 from loopshape.view.page.payload import ClosedLoops, ShapingSession
@@ -45,25 +45,25 @@ def _gain_of_one(frf: FRF) -> Controller:
 
 @dataclass(frozen=True, eq=False)
 class SeveralLoops:
-    """Matrix FRFs of one plant, and what is required of each loop and of all; `recorded_under` these controllers."""
+    """Matrix FRFs of one plant, and what is required of each loop and of all; `held`: recorded under these."""
 
     frfs: tuple[FRF, ...]
     requirements: tuple[Requirements, ...] = ()
-    together: Requirements | None = None
-    recorded_under: tuple[Controller, ...] = ()
+    together: SeveralRequirements | None = None
+    held: tuple[Controller, ...] = ()
 
     def shaped(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
         """Each loop on the plant that it meets while the others are closed by these controllers."""
         names = [one.loop for one in controllers]
-        closed = closed_loops(self.frfs, controllers, names, self.recorded_under)
-        loops, _ = matrix_loops(closed, of_all(self.together))
-        return [self._one(own, controllers, loops) for own in controllers]
+        together = self.together or SeveralRequirements()
+        matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.held)
+        return [self._one(own, controllers, matrices) for own in controllers]
 
-    def _one(self, own: Controller, controllers: Sequence[Controller], loops: Sequence[Loop]) -> ShapingSession:
+    def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, Loop]) -> ShapingSession:
         required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
-        met = plants_met(own.loop, loops)
+        met = plants_met(own.loop, matrices)
         rest = tuple(one for one in controllers if one is not own)
-        others = ClosedLoops(rest, unstable_poles_met(own.loop, loops, required))
+        others = ClosedLoops(rest, unstable_poles_met(own.loop, matrices, required))
         return ShapingSession(met, own, required, (), check(met, own, others.judged(required)), others)
 
 

@@ -74,7 +74,9 @@ def test_an_unstable_loop_is_a_cross_whatever_its_numbers_say_and_is_named() -> 
 def test_an_interval_without_end_does_not_stretch_the_axes() -> None:
     _, _, verdict = loop_nouns.arm()
     found = dict(verdict.margins)
-    found["r01"] = replace(found["r01"], intervals={"gain_margin_db": (3.0, float("inf"))})
+    found["r01"] = found["r01"].with_readings(
+        gain_margin_db=replace(found["r01"]["gain_margin_db"], interval=(3.0, float("inf")))
+    )
     ax = verdicts.margin(ls.Verdict("theta2", verdict.lines, found), verdict.lines[0])
     assert np.isfinite(ax.get_ylim()).all()
     assert ax.get_ylim()[1] < 100.0

@@ -144,7 +144,7 @@ def report_comparisons(comparisons: Mapping[str, Comparison], output: Output, *,
     """What became of a baseline: outcomes that changed, then margins that did, then what lies underneath."""
     for title, comparison in comparisons.items():
         if not details:
-            output.paragraph(comparison.text(title))
+            output.paragraph(tables.comparison_text(title, comparison))
             continue
         output.tables(tables.comparison_tables(title, comparison))
         for line in comparison.remarks:

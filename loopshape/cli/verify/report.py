@@ -25,14 +25,14 @@ def report(
 ) -> None:
     """Write a run's report as one HTML file. It opens offline; exit code 0 whatever the verdict."""
     from loopshape.verbs.files import write_report
-    from loopshape.view.html.words import OUTCOME_WORDS
+    from loopshape.view.html.words import WORDS
 
     output, path = Output(as_json, quiet), out or run / "report.html"
     made, size = write_report(path, run, controller, require, diagram, date, figures_mb)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())
-    output.say(f"verdict: {OUTCOME_WORDS.get(made.outcome, 'no requirement')}")
+    output.say(f"verdict: {'no requirement' if made.outcome == 'none' else WORDS[made.outcome]}")
     output.say(f"report: {path} ({size / 1e6:.1f} MB)")
     told = {"outcome": made.outcome, "missing": made.missing, "figures_left_out": made.figures_left_out}
     output.json({"report": str(path), "bytes": size, **told})

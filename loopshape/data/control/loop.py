@@ -74,8 +74,8 @@ class Loop:
     [0.5, 0.333]
 
     `controllers` is one controller, or a sequence of them in the order of the channels. Responses C, L, S, T, CS and PS
-    are (nf,) of one loop and (nf, n, n) of n, broken at the plant's outputs; L_i is always (nf, n, n), broken at its
-    inputs. `open_loop`, `sensitivity`, `complementary`, `process` and `control` are FRFs with their covariance.
+    are (nf,) of one loop and (nf, n, n) of n, broken at the plant's outputs; those ending in _i are (nf, n, n), broken
+    at its inputs. `open_loop`, `sensitivity`, `complementary`, `process` and `control` are FRFs with their covariance.
 
     `integrators` is the number of poles of the plant at s = 0 (of several loops as a minimal realisation has them: two
     axes that integrate have two), `unstable_poles` in the right half plane (None: not known); the data alone do not
@@ -179,12 +179,22 @@ class Loop:
     @property
     def PS(self) -> ComplexArray:
         """Process sensitivity (I + P C)^-1 P = P (I + C P)^-1."""
-        return self.plant.siso * self.S if self.is_one else self.S @ self.P
+        return self.plant.siso * self.S if self.is_one else self.P @ self.S_i
 
     @property
     def L_i(self) -> ComplexArray:
         """Open loop at the plant's inputs, C P."""
         return np.asarray(self.c[:, :, None] * self.P)
+
+    @property
+    def S_i(self) -> ComplexArray:
+        """Sensitivity at the plant's inputs, (I + C P)^-1."""
+        return sensitivity(self.L_i)
+
+    @property
+    def T_i(self) -> ComplexArray:
+        """Complementary sensitivity at the plant's inputs, C P (I + C P)^-1."""
+        return self.L_i @ self.S_i
 
     @property
     def determinant(self) -> ComplexArray:

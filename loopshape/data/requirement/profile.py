@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from math import erf, inf, sqrt
 from typing import Any
@@ -63,7 +63,12 @@ class Profile:
 
     def joined(self, requirements: Requirements) -> Requirements:
         """Requirements under which both hold: of each quantity the stricter limit."""
-        return requirements.stricter(self.limits)
+        stricter = {"at_least": max, "at_most": min}
+        made: dict[str, Any] = {}
+        for name, limit in self.limits.items():
+            own = getattr(requirements, name)
+            made[name] = limit if own is None else stricter[LIMIT_OF[name].sense](own, limit)
+        return replace(requirements, **made)
 
     def sentences(self) -> tuple[str, ...]:
         """What a verdict under this profile has to carry: standard and clause, what was not read, who confirms."""
@@ -93,7 +98,7 @@ def zone_shares(verdict: Verdict, profile: Profile) -> dict[str, float]:
 def _all_below(verdict: Verdict, limit_db: float) -> float:
     share = 1.0
     for found in verdict.margins.values():
-        low, high = found.intervals.get("sensitivity_peak_db", (0.0, 0.0))
-        std, room = (high - low) / _WIDTH, limit_db - found.sensitivity_peak_db
+        read = found["sensitivity_peak_db"]
+        std, room = (read.ends[1] - read.ends[0]) / _WIDTH, limit_db - read.value
         share *= 0.5 * (1.0 + erf(room / (std * sqrt(2.0)))) if std > 0.0 else float(room >= 0.0)
     return share

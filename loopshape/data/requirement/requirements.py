@@ -1,37 +1,51 @@
-"""What is required of a loop or of several at once, and the margins that are compared with it.
+"""What is required of a loop or of several at once, and the table of limits.
 
-`Requirements` and `Margins` share their field names, so a check is one loop over `LIMITS`.
+`Requirements` have a field for each limit and `Margins` a reading, so a check is one loop over `LIMITS`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError, meant
 from loopshape.core.gate import pass_fields
-from loopshape.core.json_ready import Plain
+from loopshape.core.units import db, from_db
 from loopshape.data.control.block import BlockTemplate
 from loopshape.data.requirement.limits_over import MASKED, AtPoints, Mask
-from loopshape.data.requirement.objective import Objective, is_number
-from loopshape.data.requirement.weight import Weight
-from loopshape.data.result.detuning import SEARCHED_PERCENT, Detuning
+from loopshape.data.requirement.weight import Objective, Weight, is_number
+from loopshape.data.result.detuning import SEARCHED_PERCENT
 
-NEVER = "no loop whose |L| falls off has more"
+
+class Scale(StrEnum):
+    """How the kernel's column tells a quantity: in its own unit, as its ln, or (dB) as ln of its inverse."""
+
+    PLAIN = "plain"
+    LN = "ln"
+    INVERSE = "inverse"
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A row of the table that check, tune, tables, report and JSON loop over: a quantity and how it is limited.
+    """A row of the table that check, tune, tables, report, page and JSON loop over: a quantity and how it is limited.
 
-    `sense` is `at_least` or `at_most`; `label` is its name for people. A value asked for is finite, `positive` or not
-    below `least`, and at most `most`, for the reason `why_most`. `plot` is the response (S, T, CS, PS, L, L phase) on
-    which its worst place is marked, and its limit drawn where that is a ceiling in dB. `margin` puts it in the report's
-    table of margins, not of peaks. `closeness` ranks, from 1, what says how close L comes to -1; 0 says nothing of it.
-    `keeps_off` marks what alone is enough to keep L off -1: a tuning needs one.
+    For people: `label` is its name, `unit` its unit, `sense` `at_least` or `at_most`. A value asked for is finite,
+    `positive` or not below `least`, and at most `most`, for the reason `why_most`. `plot` is the response (S, T, CS,
+    PS, L, L phase) on which its worst place is marked, and its limit drawn where that is a ceiling in dB. `margin` puts
+    it in the report's table of margins, not of peaks. `closeness` ranks, from 1, what says how close L comes to -1; 0
+    says nothing of it. `keeps_off` marks what alone is enough to keep L off -1: a tuning needs one. `together` says
+    that several loops at once can be held to it, or to it "alone".
+
+    For the readings: `column` of `core.kernels.loops.margins` on its `scale`, or `read`, "module:function" of a loop to
+    a `Reading`. A reading that is freed of its bias lies between 0 and `ceiling`. A `distance` scatters as a logarithm
+    only where its deviation, on the column's scale, is at most this. `asked` is read only where it is asked for,
+    `crossing` only where the 0 dB crossing is in sight, and `open` has no end where the last line does not reach it.
+    `magnitude` is that of `core.kernels.loops.tuning_rows` which a tuning holds below the limit; `own_rows` says that a
+    tuning reads it otherwise. A limit with neither cannot be tuned for.
     """
 
     name: str
@@ -42,10 +56,49 @@ class Limit:
     positive: bool = False
     least: float = -np.inf
     most: float = np.inf
-    why_most: str = NEVER
+    why_most: str = "no loop whose |L| falls off has more"
     margin: bool = False
     closeness: int = 0
     keeps_off: bool = False
+    together: str = ""
+    column: str = ""
+    scale: Scale = Scale.PLAIN
+    read: str = ""
+    ceiling: float | None = None
+    distance: float = np.inf
+    asked: bool = False
+    crossing: bool = False
+    open: bool = False
+    magnitude: str = ""
+    own_rows: bool = False
+
+    def value(self, column: Any) -> Any:
+        """The quantity from the kernel's column, of numbers or arrays."""
+        with np.errstate(over="ignore", divide="ignore"):
+            if self.scale is Scale.INVERSE:
+                return -db(np.exp(column))
+            return np.exp(column) if self.scale is Scale.LN else column
+
+    def on_column(self, value: Any) -> Any:
+        """The kernel's column from the quantity."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.scale is Scale.INVERSE:
+                return -np.log(from_db(value))
+            return np.log(value) if self.scale is Scale.LN else value
+
+    def of_db(self, step: float) -> float:
+        """A step in dB on the kernel's column."""
+        return step if self.scale is Scale.PLAIN else float(np.log(from_db(step)))
+
+    @property
+    def column_sign(self) -> float:
+        """1 where the kernel's column is to be large, -1 where it is to be small."""
+        return 1.0 if (self.sense == "at_least") != (self.scale is Scale.INVERSE) else -1.0
+
+    @property
+    def sign(self) -> float:
+        """1 where the quantity is to be large, -1 where it is to be small."""
+        return 1.0 if self.sense == "at_least" else -1.0
 
     @property
     def short(self) -> str:
@@ -62,7 +115,8 @@ class Limit:
         if not np.isfinite(value):
             raise WrongUseError(f"{of} must be finite", f"{value!r}")
         if value < self.least:
-            raise WrongUseError(f"{of} must not be {_below(self.least)}", f"{value!r}")
+            below = "negative" if self.least == 0.0 else f"below {self.least:g}"
+            raise WrongUseError(f"{of} must not be {below}", f"{value!r}")
         if value > self.most:
             raise WrongUseError(f"{of} must not exceed {self.most:g}", f"{value!r}", self.why_most)
 
@@ -73,122 +127,71 @@ def refuse_not_positive(what: str, value: float) -> None:
         raise WrongUseError(f"{what} must be positive and finite", f"{value!r}")
 
 
-def _below(least: float) -> str:
-    return "negative" if least == 0.0 else f"below {least:g}"
-
-
 _SEARCHED = "shifts are not searched farther; a plant that moves so much needs FRFs of each of its states"
-LIMITS: tuple[Limit, ...] = (
-    Limit("gain_margin_db", "at_least", "dB", "gain margin",
-          plot="L", least=0.0, margin=True, closeness=5, keeps_off=True),
-    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin",
-          plot="L", least=0.0, margin=True, closeness=6),
-    Limit("phase_margin_deg", "at_least", "deg", "phase margin",
-          plot="L phase", least=0.0, most=180.0, margin=True, closeness=4, keeps_off=True),
-    Limit("modulus_margin", "at_least", "1", "modulus margin",
-          plot="S", positive=True, most=1.0, margin=True, closeness=1, keeps_off=True),
-    Limit("delay_margin_s", "at_least", "s", "delay margin",
-          plot="L phase", positive=True, margin=True, closeness=7, keeps_off=True),
-    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|", plot="S", closeness=2, keeps_off=True),
-    Limit("complementary_peak_db", "at_most", "dB", "peak |T|", plot="T", closeness=8),
-    Limit("control_peak_db", "at_most", "dB", "peak |CS|", plot="CS"),
-    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency", plot="CS"),
-    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)",
-          plot="L", positive=True, margin=True),
-    Limit("disk_margin", "at_least", "1", "disk margin",
-          positive=True, most=2.0, margin=True, closeness=3, keeps_off=True),
-    Limit("process_peak_db", "at_most", "dB", "peak |PS|", plot="PS"),
-    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)", positive=True),
-    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)", positive=True),
-    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)", positive=True),
+_ROWS: tuple[Limit, ...] = (
+    Limit("gain_margin_db", "at_least", "dB", "gain margin", plot="L", least=0.0, margin=True, closeness=5,
+          keeps_off=True, column="GAIN_DB", ceiling=np.inf, own_rows=True),
+    Limit("gain_reduction_margin_db", "at_least", "dB", "gain reduction margin", plot="L", least=0.0, margin=True,
+          closeness=6, column="REDUCTION_DB", ceiling=np.inf, crossing=True, own_rows=True),
+    Limit("phase_margin_deg", "at_least", "deg", "phase margin", plot="L phase", least=0.0, most=180.0, margin=True,
+          closeness=4, keeps_off=True, column="PHASE_DEG", ceiling=180.0, crossing=True, own_rows=True),
+    Limit("modulus_margin", "at_least", "1", "modulus margin", plot="S", positive=True, most=1.0, margin=True,
+          closeness=1, keeps_off=True, together="too", column="LN_MODULUS", scale=Scale.LN, distance=0.5,
+          magnitude="S"),
+    Limit("delay_margin_s", "at_least", "s", "delay margin", plot="L phase", positive=True, margin=True, closeness=7,
+          keeps_off=True, column="LN_DELAY_S", scale=Scale.LN, crossing=True, own_rows=True),
+    Limit("sensitivity_peak_db", "at_most", "dB", "peak |S|", plot="S", closeness=2, keeps_off=True, together="too",
+          column="LN_MODULUS", scale=Scale.INVERSE, distance=0.5, magnitude="S"),
+    Limit("complementary_peak_db", "at_most", "dB", "peak |T|", plot="T", closeness=8, together="too",
+          column="COMPLEMENTARY_DB", distance=4.34, magnitude="T"),
+    Limit("control_peak_db", "at_most", "dB", "peak |CS|", plot="CS", column="CONTROL_DB", distance=4.34,
+          magnitude="CS"),
+    Limit("control_high_frequency_db", "at_most", "dB", "|CS| at high frequency", plot="CS", column="CONTROL_HIGH_DB",
+          magnitude="CS"),
+    Limit("bandwidth_hz", "at_least", "Hz", "bandwidth (first 0 dB crossing of L)", plot="L", positive=True,
+          margin=True, column="LN_BANDWIDTH_HZ", scale=Scale.LN, own_rows=True),
+    Limit("disk_margin", "at_least", "1", "disk margin", positive=True, most=2.0, margin=True, closeness=3,
+          keeps_off=True, together="too", column="LN_DISK", scale=Scale.LN, ceiling=2.0, distance=0.5,
+          magnitude="DISK"),
+    Limit("process_peak_db", "at_most", "dB", "peak |PS|", plot="PS", column="PROCESS_DB", distance=4.34,
+          magnitude="PS"),
+    Limit("sensitivity_bandwidth_hz", "at_least", "Hz", "bandwidth of S (|S| rises through -3 dB)", positive=True,
+          column="LN_SENSITIVITY_HZ", scale=Scale.LN, open=True, own_rows=True),
+    Limit("complementary_bandwidth_hz", "at_least", "Hz", "bandwidth of T (|T| falls through -3 dB)", positive=True,
+          column="LN_COMPLEMENTARY_HZ", scale=Scale.LN, open=True, own_rows=True),
+    Limit("controller_bandwidth_hz", "at_most", "Hz", "bandwidth of C (|C| within 3 dB of its largest)", positive=True,
+          read="loopshape.loop.margin.margins:controller_bandwidth", own_rows=True),
     Limit("detuning_percent", "at_least", "%", "detuning margin (shift of the plant's frequencies)",
-          positive=True, most=SEARCHED_PERCENT, why_most=_SEARCHED, margin=True),
-    Limit("sensitivity_mask_db", "at_most", "dB", "|S| over its mask", plot="S"),
-    Limit("complementary_mask_db", "at_most", "dB", "|T| over its mask", plot="T"),
-    Limit("control_mask_db", "at_most", "dB", "|CS| over its mask", plot="CS"),
-    Limit("process_mask_db", "at_most", "dB", "|PS| over its mask", plot="PS"),
-    Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L"),
-    Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L"),
-    Limit("weighted_norm", "at_most", "1", "norm of the weighted loop", positive=True),
-    Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True),
-)  # fmt: skip
-#: what all loops of a plant keep at once, the second of them nothing but that
-TOGETHER: tuple[Limit, ...] = (
-    next(limit for limit in LIMITS if limit.name == "disk_margin"),
+          positive=True, most=SEARCHED_PERCENT, why_most=_SEARCHED, margin=True, own_rows=True),
+    Limit("sensitivity_mask_db", "at_most", "dB", "|S| over its mask", plot="S", column="MASK_S", asked=True,
+          magnitude="S"),
+    Limit("complementary_mask_db", "at_most", "dB", "|T| over its mask", plot="T", column="MASK_T", asked=True,
+          magnitude="T"),
+    Limit("control_mask_db", "at_most", "dB", "|CS| over its mask", plot="CS", column="MASK_CS", asked=True,
+          magnitude="CS"),
+    Limit("process_mask_db", "at_most", "dB", "|PS| over its mask", plot="PS", column="MASK_PS", asked=True,
+          magnitude="PS"),
+    Limit("loop_mask_db", "at_most", "dB", "|L| over its mask", plot="L", column="MASK_L", asked=True,
+          magnitude="LOOP"),
+    Limit("loop_floor_db", "at_most", "dB", "|L| below its floor", plot="L", column="FLOOR_L", asked=True,
+          magnitude="FLOOR"),
+    Limit("weighted_norm", "at_most", "1", "norm of the weighted loop", positive=True, column="LN_WEIGHTED",
+          scale=Scale.LN, asked=True, magnitude="NORM"),
+    Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True, own_rows=True),
     Limit("input_output_disk_margin", "at_least", "1", "disk margin, inputs and outputs at once",
-          positive=True, most=2.0),
-    *(x for x in LIMITS if x.name in ("modulus_margin", "sensitivity_peak_db", "complementary_peak_db")),
+          positive=True, most=2.0, together="alone"),
 )  # fmt: skip
-LIMIT_OF = {limit.name: limit for limit in (*LIMITS, *TOGETHER)}
+#: what a single loop keeps, and what all loops of a plant keep at once
+LIMITS = tuple(limit for limit in _ROWS if limit.together != "alone")
+SEVERAL_LIMITS = tuple(sorted((x for x in _ROWS if x.together), key=lambda x: "disk" not in x.name))
+LIMIT_OF = {limit.name: limit for limit in _ROWS}
 #: limits that hold for all operating points alike
 OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent", "weighted_norm")
 
 
-@dataclass(frozen=True)
-class Margins(Plain):
-    """Margins of one loop at one operating point, by definition from L = C P on the FRF's lines.
-
-    All are positive for a loop with room; `inf` where the loop never comes to the crossing in question.
-    `crossings_hz` are all 0 dB crossings, `phase_crossings_hz` all crossings of the negative real axis.
-    `stable` is "stable", "unstable" or "undecided", with `stability_reason`, and where it is undecided
-    `stability_band_hz`, the band to measure. Frequencies of the peaks and of the worst margins stand beside them in
-    `at_hz`. `intervals` holds 95 % intervals (low, high) by field name; empty where the FRF's uncertainty was not used;
-    those of the crossings stand in `crossing_intervals_hz` and `phase_crossing_intervals_hz`, in their order.
-    `disk_margin` is the radius of the balanced disk of gain and phase changes that the loop stands (2 at most).
-    `bounds` names the quantities that are bounds, because what the plant does above the last frequency decides them:
-    the number found is the worst that may be, and `bounds` holds the best. `missing_hz` are holes between the
-    frequencies, in which a reading is a guess. `last_hz` is that frequency, `last_gain`
-    |L| there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
-    `detuning_percent` is the lesser of what `detuning` finds up and down, a bound where that says `beyond`; nan where
-    it was not looked for. Those of masks say how far the worst frequency lies beyond its limit (below 0: room), nan
-    where there is no mask. `weighted_norm` is the largest root of the sum of squared weighted responses, nan without
-    weights. `error_rms` is in the output's unit, nan where nothing tells what disturbs the loop.
-    """
-
-    gain_margin_db: float
-    gain_reduction_margin_db: float
-    phase_margin_deg: float
-    modulus_margin: float
-    delay_margin_s: float
-    sensitivity_peak_db: float
-    complementary_peak_db: float
-    control_peak_db: float
-    control_high_frequency_db: float
-    bandwidth_hz: float
-    crossings_hz: tuple[float, ...]
-    phase_crossings_hz: tuple[float, ...]
-    at_hz: Mapping[str, float]
-    stable: str
-    stability_reason: str
-    disk_margin: float = float("nan")
-    process_peak_db: float = float("nan")
-    sensitivity_bandwidth_hz: float = float("nan")
-    complementary_bandwidth_hz: float = float("nan")
-    controller_bandwidth_hz: float = float("nan")
-    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    stability_band_hz: tuple[float, float] | None = None
-    crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
-    phase_crossing_intervals_hz: tuple[tuple[float, float], ...] = ()
-    bounds: Mapping[str, float] = field(default_factory=dict)
-    missing_hz: tuple[tuple[float, float], ...] = ()
-    last_hz: float = float("nan")
-    last_gain: float = float("nan")
-    last_slope: float = float("nan")
-    detuning_percent: float = float("nan")
-    detuning: Detuning | None = None
-    sensitivity_mask_db: float = float("nan")
-    complementary_mask_db: float = float("nan")
-    control_mask_db: float = float("nan")
-    process_mask_db: float = float("nan")
-    loop_mask_db: float = float("nan")
-    loop_floor_db: float = float("nan")
-    weighted_norm: float = float("nan")
-    error_rms: float = float("nan")
-
-
 @dataclass(frozen=True, eq=False)
 class Requirements:
-    """What one loop must keep at every operating point, or all loops of a plant together; None requires nothing.
+    """What one loop must keep at every operating point; None requires nothing.
 
     `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
@@ -198,8 +201,7 @@ class Requirements:
     much |S| may exceed its masks) to 0. `weights` make one norm of |S|, |T|, |CS| and |PS| over all frequencies, the
     same at all operating points: `weighted_norm` limits it, and the objective may make it small. `error_rms` limits the
     rms of the error, in the output's unit, under what disturbs the loop: `check` and `tune` need a recording of that.
-    Where several of `at` hold at an operating point the last has its way. What all loops keep together
-    (`ls.check(..., together=...)`) is of `TOGETHER`, the poles and the band alone: `input_output_disk_margin` there.
+    Where several of `at` hold at an operating point the last has its way.
     Refuses values that make no sense.
     """
 
@@ -216,7 +218,6 @@ class Requirements:
     control_high_frequency_from_hz: float | None = None
     bandwidth_hz: float | None = None
     disk_margin: float | None = None
-    input_output_disk_margin: float | None = None
     process_peak_db: float | None = None
     sensitivity_bandwidth_hz: float | None = None
     complementary_bandwidth_hz: float | None = None
@@ -238,10 +239,16 @@ class Requirements:
     integrators: int | None = None
     unstable_poles: int | None = None
     objective: Objective = Objective()  # noqa: RUF009 (frozen)
+    limits: ClassVar[tuple[Limit, ...]] = LIMITS
+    _least_integrators: ClassVar[int] = -2
+
+    @property
+    def _whose(self) -> str:
+        return f"loop {self.loop!r}"
 
     def __repr__(self) -> str:
         """One line: its loop and each limit that is given."""
-        asked = [(x, value) for x in LIMIT_OF.values() if (value := getattr(self, x.name)) is not None]
+        asked = [(limit, getattr(self, limit.name)) for limit in self.limits if getattr(self, limit.name) is not None]
         words = [f"{limit.name} {limit.sense.replace('_', ' ')} {value:g}" for limit, value in asked]
         words += [f"others at {len(self.at)} ranges of operating points"] if self.at else []
         return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
@@ -264,17 +271,17 @@ class Requirements:
             )
 
     def _check_values(self) -> None:
-        for limit in LIMIT_OF.values():
-            limit.refuse(getattr(self, limit.name), f"loop {self.loop!r}")
+        for limit in self.limits:
+            limit.refuse(getattr(self, limit.name), self._whose)
         if self.control_high_frequency_from_hz is not None:
             what = f"control_high_frequency_from_hz of loop {self.loop!r}"
             refuse_not_positive(what, self.control_high_frequency_from_hz)
         if self.band_hz is not None and not _rising_pair(self.band_hz):
             raise WrongUseError("band_hz is two rising frequencies", f"{self.band_hz!r}")
-        for name, least in (("integrators", -2), ("unstable_poles", 0)):
+        for name, least in (("integrators", self._least_integrators), ("unstable_poles", 0)):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
+                raise WrongUseError(f"{name} of {self._whose} is a whole number from {least}", f"{value!r}")
 
     def _allow_nothing_over_masks(self) -> None:
         masked = {mask.quantity for mask in self.masks}
@@ -288,7 +295,7 @@ class Requirements:
 
     def _check_at(self, one: AtPoints) -> None:
         """Refuse limits at operating points that are none of one operating point, or make no sense."""
-        known = {limit.name for limit in LIMITS} - set(OF_ALL_POINTS) - set(MASKED)
+        known = {limit.name for limit in self.limits} - set(OF_ALL_POINTS) - set(MASKED)
         if unknown := sorted(set(one.limits) - known):
             raise WrongUseError(
                 f"at operating points of loop {self.loop!r} cannot be limited", ", ".join(unknown),
@@ -315,7 +322,7 @@ class Requirements:
     def limited(self) -> tuple[str, ...]:
         """Names of the quantities that are limited, at some operating point at least, in the order of `LIMITS`."""
         every = (self, *(self._with(one) for one in self.at))
-        return tuple(x.name for x in LIMITS if any(getattr(one, x.name) is not None for one in every))
+        return tuple(x.name for x in self.limits if any(getattr(one, x.name) is not None for one in every))
 
     def moved(self, by: Mapping[str, float]) -> Requirements:
         """The same with limits moved by these amounts, at all operating points."""
@@ -323,21 +330,6 @@ class Requirements:
         own = {name: getattr(self, name) for name in by}
         changes: dict[str, Any] = {name: now + by[name] for name, now in own.items() if now is not None}
         return replace(self, at=at, **changes)
-
-    def stricter(self, limits: Mapping[str, float]) -> Requirements:
-        """Requirements under which these limits hold too: of each quantity the stricter one."""
-        made: dict[str, Any] = {}
-        for name, limit in limits.items():
-            own, tighter = getattr(self, name), max if LIMIT_OF[name].sense == "at_least" else min
-            made[name] = limit if own is None else tighter(own, limit)
-        return replace(self, **made)
-
-    def with_all(self, together: Requirements) -> Requirements:
-        """Requirements of the one loop that there is, with what all loops keep: the stricter limit, its own poles."""
-        limits = {x.name: v for x in TOGETHER if (v := getattr(together, x.name)) is not None}
-        own = ("integrators", "unstable_poles", "band_hz")
-        plant: dict[str, Any] = {name: getattr(together, name) for name in own if getattr(self, name) is None}
-        return replace(self.stricter(limits), **plant)
 
     def masks_on(self, plot: str) -> tuple[Mask, ...]:
         """Masks of a response, those of some operating points alone included."""
@@ -378,6 +370,31 @@ class Requirements:
                 raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}", cure)
         band = tuple(band) if isinstance(band, list) else band
         return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, weights=weights, at=at)
+
+
+@dataclass(frozen=True, repr=False)
+class SeveralRequirements(Requirements):
+    """What all loops of a plant must keep together, of `limits` alone; None requires nothing.
+
+    `integrators` and `unstable_poles` declare those of the whole plant (`Loop`); None leaves them to its lowest
+    lines, and to the loops that were recorded and stood. Refuses values that make no sense.
+    """
+
+    input_output_disk_margin: float | None = None
+    limits: ClassVar[tuple[Limit, ...]] = SEVERAL_LIMITS
+    _least_integrators: ClassVar[int] = 0
+
+    @property
+    def _whose(self) -> str:
+        return "several loops"
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
+        """Requirements of the table `[several]` of a requirements file; an unknown key is refused."""
+        known = [*(limit.name for limit in cls.limits), "integrators", "unstable_poles", "band_hz"]
+        if unknown := [key for key in table if key not in known]:
+            raise WrongUseError("unknown key", ", ".join(map(repr, unknown)), f"known are {', '.join(known)}")
+        return super().from_table({"name": "", **table})
 
 
 def _rising_pair(band: Any) -> bool:

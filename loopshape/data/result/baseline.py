@@ -6,12 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.outcomes import Change, ClosedLoop
 from loopshape.data.control.controller import Controller
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import change_text, line_change_words
-
-#: outcomes of lines and of stability, best first
-RANK = {"passed": 0, "stable": 0, "undecided": 1, "failed": 2, "unstable": 2}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,18 +37,14 @@ class LineChange(Plain):
     @property
     def worse(self) -> bool:
         """Whether the outcome is worse than before; a requirement that came or went is reported without verdict."""
-        return self._step > 0
+        return self.step > 0
 
     @property
-    def better(self) -> bool:
-        """Whether the outcome is better than before."""
-        return self._step < 0
-
-    @property
-    def _step(self) -> int:
+    def step(self) -> int:
+        """How many steps the outcome is worse than before."""
         if self.before is None or self.now is None:
             return 0
-        return RANK[self.now.outcome] - RANK[self.before.outcome]
+        return self.now.outcome.severity - self.before.outcome.severity
 
 
 @dataclass(frozen=True)
@@ -62,19 +55,19 @@ class StabilityChange(Plain):
 
     loop: str
     recording: str
-    before: str
-    now: str
+    before: ClosedLoop
+    now: ClosedLoop
     reason: str
 
     @property
     def worse(self) -> bool:
         """Whether less is known to be stable than before."""
-        return RANK[self.now] > RANK[self.before]
+        return self.step > 0
 
     @property
-    def better(self) -> bool:
-        """Whether more is known to be stable than before."""
-        return RANK[self.now] < RANK[self.before]
+    def step(self) -> int:
+        """How many steps the outcome is worse than before."""
+        return self.now.severity - self.before.severity
 
 
 @dataclass(frozen=True)
@@ -95,7 +88,7 @@ class MarginChange(Plain):
     now: float
     interval: tuple[float, float] | None
     common: bool
-    outcome: str
+    outcome: Change
 
     @property
     def change(self) -> float:
@@ -122,14 +115,14 @@ class Comparison(Plain):
     notes: tuple[str, ...] = ()
 
     @property
-    def outcome(self) -> str:
+    def outcome(self) -> Change:
         """Worse where anything is (an operating point that is gone is no longer verified), else better or unchanged."""
-        if self.gone or self.of("worse") or any(x.worse for x in self.lines) or any(x.worse for x in self.stabilities):
-            return "worse"
-        moved = any(x.better for x in self.lines) or any(x.better for x in self.stabilities)
-        return "better" if moved or self.of("better") else "unchanged"
+        steps = [*(x.step for x in self.lines), *(x.step for x in self.stabilities)]
+        if self.gone or self.of(Change.WORSE) or max(steps, default=0) > 0:
+            return Change.WORSE
+        return Change.BETTER if self.of(Change.BETTER) or min(steps, default=0) < 0 else Change.UNCHANGED
 
-    def of(self, outcome: str) -> tuple[MarginChange, ...]:
+    def of(self, outcome: Change) -> tuple[MarginChange, ...]:
         """The margins of one outcome."""
         return tuple(change for change in self.margins if change.outcome == outcome)
 
@@ -138,15 +131,15 @@ class Comparison(Plain):
 
         Those for the worse come first; changes within their intervals are left out.
         """
-        kept: dict[tuple[str, str, str], list[MarginChange]] = {}
-        for change in (*self.of("worse"), *self.of("better")):
+        kept: dict[tuple[Change, str, str], list[MarginChange]] = {}
+        for change in (*self.of(Change.WORSE), *self.of(Change.BETTER)):
             kept.setdefault((change.outcome, change.loop, change.quantity), []).append(change)
         return tuple((max(group, key=lambda c: abs(c.change)), len(group)) for group in kept.values())
 
     @property
     def counts(self) -> str:
         """The outcome and how many margins are worse, better and unchanged."""
-        worse, better = (len(self.of(word)) for word in ("worse", "better"))
+        worse, better = (len(self.of(one)) for one in (Change.WORSE, Change.BETTER))
         same = len(self.margins) - worse - better
         return f"{self.outcome} ({worse} margins worse, {better} better, {same} unchanged)"
 
@@ -154,13 +147,3 @@ class Comparison(Plain):
     def remarks(self) -> list[str]:
         """What came or went, and what differs underneath."""
         return [*(f"gone: {name}" for name in self.gone), *(f"new: {name}" for name in self.new), *self.notes]
-
-    def text(self, title: str) -> str:
-        """In lines: outcomes that changed, margins that did, what came or went, what differs underneath."""
-        lines = []
-        for x in self.lines:
-            was, required, now, wishes = line_change_words(x)
-            lines.append(f"{x.quantity} of loop {x.loop}: {was} ({required}) to {now} ({wishes})")
-        lines += [f"loop {s.loop} in {s.recording}: {s.before} to {s.now}: {s.reason}" for s in self.stabilities]
-        lines += [change_text(change, points) for change, points in self.largest()]
-        return "\n".join([f"{title}: {self.counts}", *(f"  {line}" for line in (*lines, *self.remarks))])

@@ -13,6 +13,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, db
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
@@ -101,7 +102,7 @@ class Prediction(Plain):
     )  # fmt: skip
 
     sensitivity: FRF
-    stability: str
+    stability: ClosedLoop
     step: Step | None = None
     notes: tuple[str, ...] = ()
 

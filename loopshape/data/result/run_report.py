@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from loopshape.core.outcomes import Outcome
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
@@ -97,7 +98,7 @@ class CheckedLoop:
 
 def asked_outcome(verdict: Verdict) -> str:
     """The outcome of a verdict, but "none" where nothing was asked and nothing failed."""
-    return "none" if verdict.outcome == "passed" and not verdict.lines else verdict.outcome
+    return "none" if verdict.passed and not verdict.lines else verdict.outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +150,6 @@ class RunReport:
     @property
     def outcome(self) -> str:
         """Outcome over all loops: "failed", "undecided", "passed", or "none" where nothing was asked of any loop."""
-        found = {one.outcome for one in self.checked} | {asked_outcome(one) for one in self.inner.values()}
-        found |= {"undecided"} if self.unchecked else set()
-        return next((word for word in ("failed", "undecided", "passed") if word in found), "none")
+        found = [*(one.outcome for one in self.checked), *map(asked_outcome, self.inner.values())]
+        found = [word for word in found if word != "none"] + ["undecided"] * bool(self.unchecked)
+        return Outcome.worst(found) if found else "none"

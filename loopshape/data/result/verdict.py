@@ -1,4 +1,4 @@
-"""What a check finds: each requirement's worst line, the verdict, and the margins of several loops at once."""
+"""What a check finds: each requirement's worst line, the verdict, and what would settle an undecided one."""
 
 from __future__ import annotations
 
@@ -9,22 +9,12 @@ from html import escape
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.units import db, deg
-from loopshape.data.requirement.requirements import Margins
+from loopshape.core.outcomes import ClosedLoop, Outcome
+from loopshape.data.result.margins import Margins, Reading
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-class Outcome(StrEnum):
-    """What data say of a controller under requirements: each is also its word."""
-
-    PASSED = "passed"
-    FAILED = "failed"
-    UNDECIDED = "undecided"
 
 
 class SettledBy(StrEnum):
@@ -70,40 +60,6 @@ class Order(Plain):
 
 
 @dataclass(frozen=True)
-class SeveralMargins(Margins):
-    """Margins of all loops of one plant at one operating point, from its matrix; nan what is of single loops alone.
-
-    - `disk_margin`: the largest a such that every loop may be multiplied by its own (1 + d/2)/(1 - d/2), |d| < a
-      complex, all at once (Seiler, Packard and Gahinet, IEEE Control Systems 40(5), 2020, balanced); 2 at most, and the
-      same at the plant's inputs and outputs. `disk_margin_reached` is the size of changes known to destabilise: nothing
-      is known between the two (they are one for three loops or fewer), and its interval goes from one to the other.
-      `input_output_disk_margin`: both ends at once.
-    - `gain_margin_db`, `phase_margin_deg`: what every loop may vary by either way, all at once, by the disk margin.
-    - `modulus_margin`: the largest m such that every loop's L may move by less than m, all at once.
-    - `sensitivity_peak_db`, `complementary_peak_db`: largest singular value of S_o and T_o; nan where the outputs have
-      different units, on which they would depend.
-
-    `worst_changes` are the factors (complex, one a loop) that bring the loops to their limit, at
-    `at_hz["disk_margin"]`. Margins mean room only where `stable` is "stable".
-    """
-
-    loops: tuple[str, ...] = ()
-    disk_margin_reached: float = float("nan")
-    input_output_disk_margin: float = float("nan")
-    worst_changes: tuple[complex, ...] = ()
-    unstable_poles: int | None = None
-    notes: tuple[str, ...] = ()
-
-    ALSO = keys(worst_changes="changes")
-
-    @property
-    def changes(self) -> dict[str, dict[str, float]]:
-        """`worst_changes` by loop, in gain and phase."""
-        found = zip(self.loops, self.worst_changes, strict=True)
-        return {name: {"gain_db": float(db(x)), "phase_deg": float(deg(np.angle(x)))} for name, x in found}
-
-
-@dataclass(frozen=True)
 class RequirementResult(Plain):
     """A requirement at its worst operating point: required, value with its 95 % interval, slack, and the outcome.
 
@@ -122,7 +78,7 @@ class RequirementResult(Plain):
     required: float
     value: float
     slack: float
-    outcome: str
+    outcome: Outcome
     recording: str
     at_hz: float | None
     interval: tuple[float, float] | None = None
@@ -131,18 +87,19 @@ class RequirementResult(Plain):
     measure_to_hz: float | None = None
     beyond: bool = False
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outcome", Outcome(self.outcome))
+
     @property
     def span(self) -> tuple[float, float] | None:
         """Ends between which the value lies in 95 %: its interval, of a bound on to the best that may be."""
-        if self.bound is None:
-            return self.interval
-        low, high = self.interval or (self.value, self.value)
-        return min(low, self.bound), max(high, self.bound)
+        none = self.interval is None and self.bound is None
+        return None if none else Reading(self.value, self.interval, self.at_hz, self.bound).span
 
     @property
     def passed(self) -> bool:
         """Whether the requirement holds, as far as these data are sure."""
-        return self.outcome == "passed"
+        return self.outcome is Outcome.PASSED
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,7 +110,7 @@ class Verdict(Plain):
     every operating point to be stable. A loop whose stability the data cannot decide does not pass.
     `outcome` is "passed", "failed" (a line or a loop surely misses) or "undecided".
 
-    Of several loops `margins` are those of all together (`SeveralMargins`), and `each` holds a verdict a loop, with the
+    Of several loops `margins` are those of all together, and `each` holds a verdict a loop, with the
     others closed; the outcome needs them too. An undecided verdict on single loops says in `orders` what would settle
     it.
     """
@@ -173,23 +130,25 @@ class Verdict(Plain):
         return (*self.each, replace(self, each=())) if self.each else (self,)
 
     @property
-    def together(self) -> dict[str, SeveralMargins]:
+    def together(self) -> dict[str, Margins]:
         """Margins of several loops at once by recording; empty for a single loop."""
-        return {name: m for name, m in self.margins.items() if isinstance(m, SeveralMargins)}
+        return {name: m for name, m in self.margins.items() if m.loops}
+
+    @property
+    def stabilities(self) -> tuple[ClosedLoop, ...]:
+        """The closed loop at each operating point."""
+        return tuple(m.stable for m in self.margins.values())
 
     @property
     def unstable(self) -> tuple[str, ...]:
         """Recordings whose loop is unstable or undecided."""
-        return tuple(name for name, m in self.margins.items() if m.stable != "stable")
+        return tuple(name for name, m in self.margins.items() if m.stable is not ClosedLoop.STABLE)
 
     @property
     def outcome(self) -> Outcome:
         """What these data say of the controller."""
-        stable = {m.stable for m in self.margins.values()}
-        lines = {line.outcome for line in self.lines} | {one.outcome.value for one in self.each}
-        if "unstable" in stable or "failed" in lines:
-            return Outcome.FAILED
-        return Outcome.UNDECIDED if "undecided" in stable | lines else Outcome.PASSED
+        found = [*(m.stable.outcome for m in self.margins.values()), *(one.outcome for one in self.each)]
+        return Outcome.worst([*found, *(line.outcome for line in self.lines)])
 
     def __repr__(self) -> str:
         """One line: the outcome, and each requirement that does not hold."""
@@ -210,24 +169,12 @@ class Verdict(Plain):
         """A row a requirement at its worst operating point: limit, worst case, 95 % interval, slack, where, outcome."""
         import pandas as pd
 
-        rows: list[dict[str, Any]] = [
-            ({"loop": part.loop} if self.each else {})
-            | {
-                "requirement": line.quantity,
-                "unit": line.unit,
-                "required": line.required,
-                "worst case": line.value,
-                "low": line.span[0] if line.span else None,
-                "high": line.span[1] if line.span else None,
-                "slack": line.slack,
-                "at [Hz]": line.at_hz,
-                "operating point": line.recording,
-                "outcome": line.outcome,
-            }
-            for part in self.parts
-            for line in part.lines
-        ]
-        return pd.DataFrame(rows)
+        names = {"quantity": "requirement", "unit": "unit", "required": "required", "value": "worst case", "low": "low",
+                 "high": "high", "slack": "slack", "at_hz": "at [Hz]", "recording": "operating point",
+                 "outcome": "outcome"}  # fmt: skip
+        lines = [(part.loop, line, line.span or (None, None)) for part in self.parts for line in part.lines]
+        rows = [vars(line) | {"loop": loop, "low": low, "high": high} for loop, line, (low, high) in lines]
+        return pd.DataFrame(rows, columns=["loop"] * bool(self.each) + list(names)).rename(columns=names)
 
     def _repr_html_(self) -> str:
         """The table in a notebook, under the outcome."""
@@ -241,4 +188,4 @@ class Verdict(Plain):
     @property
     def passed(self) -> bool:
         """Whether these data verify the controller."""
-        return self.outcome == "passed"
+        return self.outcome is Outcome.PASSED

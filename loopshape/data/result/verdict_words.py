@@ -3,31 +3,31 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
-from loopshape.data.result.detuning import STABILITY, Lost, Reach
+from loopshape.core.outcomes import ClosedLoop, Outcome
+from loopshape.data.result.detuning import STABILITY, Lost
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
-    from loopshape.data.requirement.requirements import Margins
-    from loopshape.data.result.baseline import LineChange, MarginChange
+    from loopshape.data.result.margins import Margins
     from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 
-#: how an outcome is printed
-WORDS = {"passed": "pass", "failed": "FAIL", "undecided": "undecided"}
-#: stability from bad to good
-STABLE_RANK = {"unstable": 0, "undecided": 1, "stable": 2}
 #: width of what is printed first
 COLUMNS = 80
-_HEADINGS = ("requirement", "required", "worst case", "95 % interval", "verdict")
-_SENSE = {"at_least": "at least", "at_most": "at most"}
 
 
-def outcome_of(verdicts: Sequence[Verdict]) -> str:
-    """The outcome of all loops: "failed" where one fails, else "undecided" where one is, else "passed"."""
-    found = {verdict.outcome for verdict in verdicts}
-    return next((word for word in ("failed", "undecided") if word in found), "passed")
+class Notation(NamedTuple):
+    """How a table writes numbers, nothing, what stands between two ends and before a limit or a bound, and units with
+    the factor to them."""
+
+    figures: Callable[[float], str]
+    nothing: str = "-"
+    between: str = " .. "
+    senses: tuple[str, str] = ("at least", "at most")
+    bounds: tuple[str, str] = ("", "")
+    units: Mapping[str, tuple[str, float]] = {}
 
 
 def number(value: float) -> str:
@@ -35,9 +35,82 @@ def number(value: float) -> str:
     return "0" if abs(value) < 1e-6 else f"{value:.4g}"
 
 
-def number_of(line: RequirementResult, value: float) -> str:
-    """The same for a number of a line: an error's unit is as large as it likes."""
-    return f"{value:.4g}" if line.quantity == "error_rms" else number(value)
+#: as a terminal shows it
+PRINTED = Notation(number)
+
+
+class Row(NamedTuple):
+    """A row of a verdict's table in words: of a requirement at its worst operating point, or of the closed loop."""
+
+    quantity: str
+    unit: str
+    sense: str
+    required: str
+    worst: str
+    interval: str
+    slack: str
+    recording: str
+    at_hz: float | None
+    outcome: Outcome
+    decides: str = ""
+
+    @property
+    def asked(self) -> str:
+        """What is required with its sense and unit: "at least 45 deg"."""
+        return f"{self.sense} {self.required} {'' if self.unit == '1' else self.unit}".strip()
+
+    @property
+    def verdict(self) -> str:
+        """The outcome's word, and what would decide it."""
+        return self.outcome.word + (f": {self.decides}" if self.decides else "")
+
+
+def verdict_rows(verdict: Verdict, notation: Notation = PRINTED) -> list[Row]:
+    """The table that all renderers show: the closed loop at its worst operating point, then the requirements."""
+    rows = [row_of(line, notation) for line in verdict.lines]
+    if not verdict.margins:
+        return rows
+    name = max(verdict.margins, key=lambda name: verdict.margins[name].stable.severity)
+    stable, no = verdict.margins[name].stable, notation.nothing
+    return [Row("closed loop", no, "", "stable", stable, no, no, name, None, stable.outcome), *rows]
+
+
+def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
+    """A requirement's row."""
+    from loopshape.data.requirement.requirements import LIMIT_OF  # numpy with it: `--help` does without
+
+    unit, factor = notation.units.get(line.unit, (line.unit, 1.0))
+
+    def figures(value: float) -> str:  # an error's unit is as large as it likes
+        tiny = line.quantity == "error_rms" and abs(value) < 1e-6
+        return f"{value:.4g}" if tiny else notation.figures(factor * value)
+
+    limit, bound = LIMIT_OF.get(line.quantity), line.bound
+    ends = "" if line.span is None else notation.between.join(figures(end) for end in line.span)
+    sign = "> " if line.beyond else "" if bound is None else notation.bounds[bound < line.value]
+    return Row(
+        line.quantity,
+        unit,
+        "" if limit is None else notation.senses[limit.sense == "at_most"],
+        figures(line.required),
+        sign + figures(line.value),
+        (ends or notation.nothing) + ("" if bound is None else " (bound)"),
+        figures(line.slack),
+        line.recording,
+        line.at_hz,
+        line.outcome,
+        _decides(line),
+    )
+
+
+def _decides(line: RequirementResult) -> str:
+    """How much more measuring would decide an undecided line, or up to which frequency."""
+    if line.outcome is Outcome.UNDECIDED and line.bound is not None:
+        to_hz = "higher" if line.measure_to_hz is None else f"up to {line.measure_to_hz:.3g} Hz"
+        return f"bounded by what lies above the last frequency; measure {to_hz}"
+    if line.longer is None:
+        return ""
+    return f"{line.longer:.2g} times the data would decide" if line.longer < 100.0 else "on the limit"
 
 
 def interval_text(interval: tuple[float, float] | None) -> str:
@@ -45,48 +118,15 @@ def interval_text(interval: tuple[float, float] | None) -> str:
     return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
 
 
-def interval_or_bound_text(line: RequirementResult) -> str:
-    """The 95 % interval of a line; of a bound from its end on the bad side to the best that may be."""
-    return interval_text(line.span) + ("" if line.bound is None else " (bound)")
-
-
-def longer_text(line: RequirementResult) -> str:
-    """How much more measuring would decide an undecided line, or up to which frequency."""
-    if line.outcome == "undecided" and line.bound is not None:
-        to_hz = "higher" if line.measure_to_hz is None else f"up to {line.measure_to_hz:.3g} Hz"
-        return f": bounded by what lies above the last frequency; measure {to_hz}"
-    if line.longer is None:
-        return ""
-    return f": {line.longer:.2g} times the data would decide" if line.longer < 100.0 else ": on the limit"
-
-
-def wished_text(line: RequirementResult) -> str:
-    """What was asked for: "at least 45 deg"."""
-    from loopshape.data.requirement.requirements import LIMIT_OF  # numpy with it: `--help` does without
-
-    sense = _SENSE[LIMIT_OF[line.quantity].sense] if line.quantity in LIMIT_OF else ""
-    return f"{sense} {line.required:g}{_unit(line.unit)}".strip()
-
-
-def found_text(line: RequirementResult) -> str:
-    """What was found, with its interval, at which frequency and operating point."""
-    interval = "" if line.span is None else f" (95 %: {interval_text(line.span)}{_unit(line.unit)})"
-    at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
-    more = "more than " if line.beyond else ""
-    return f"{more}{bounded_number(line)}{_unit(line.unit)}{interval}{at} in {line.recording}"
-
-
-def bounded_number(line: RequirementResult) -> str:
-    """The number found, as a bound where it is one: "at least 10.8" or "at most 7.9"."""
-    if line.bound is None:
-        return number_of(line, line.value)
-    return f"{'at least' if line.bound > line.value else 'at most'} {number(line.value)}"
-
-
 def line_text(line: RequirementResult) -> str:
-    """A line in one sentence: required, found with its interval, slack, and for an undecided one what would decide."""
-    slack = f"(slack {number_of(line, line.slack)}{_unit(line.unit)})"
-    return f"required {wished_text(line)}, found {found_text(line)} {slack}{longer_text(line)}"
+    """A line in one sentence: required, found with its interval and where, slack, and what would decide it."""
+    row, unit = row_of(line), _unit(line.unit)
+    bound = "" if line.bound is None else "at least " if line.bound > line.value else "at most "
+    found = f"{'more than ' if line.beyond else ''}{bound}{row.worst.removeprefix('> ')}{unit}"
+    interval = "" if line.span is None else f" (95 %: {interval_text(line.span)}{unit})"
+    at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
+    decides = f": {row.decides}" if row.decides else ""
+    return f"required {row.asked}, found {found}{interval}{at} in {line.recording} (slack {row.slack}{unit}){decides}"
 
 
 def stability_text(margins: Margins) -> str:
@@ -97,7 +137,7 @@ def stability_text(margins: Margins) -> str:
 def _why(margins: Margins) -> str:
     reason = f": {margins.stability_reason}" if margins.stability_reason else ""
     band = margins.stability_band_hz
-    to_measure = "" if band is None or margins.stable != "undecided" else f"; measure {_band(*band)}"
+    to_measure = "" if band is None or margins.stable is not ClosedLoop.UNDECIDED else f"; measure {_band(*band)}"
     return f"{reason}{to_measure}"
 
 
@@ -109,8 +149,8 @@ def _band(low_hz: float, high_hz: float) -> str:
 
 def unstable_text(verdict: Verdict, name: str) -> str:
     """An operating point whose loop is not known to be stable, in one sentence."""
-    margins = verdict.margins[name]
-    return f"{_loop(verdict)} is {margins.stable} at {name}{_why(margins)}"
+    of = f"loop {verdict.loop}" if verdict.loop else "the loop"
+    return f"{of} is {verdict.margins[name].stable} at {name}{_why(verdict.margins[name])}"
 
 
 def detuning_warnings(found: Mapping[str, Margins], controller: Controller) -> tuple[str, ...]:
@@ -141,29 +181,16 @@ def lost_text(lost: Lost, controller: Controller) -> str:
     return f"{head} {lost.quantity} goes {values}"
 
 
-def reach_text(reach: Reach) -> str:
-    """How far frequencies may move one way, and what breaks there: "1.2 % (phase_margin_deg)", "> 20 %"."""
-    return f"> {reach.percent:.4g} %" if reach.beyond else f"{reach.percent:.3g} % ({reach.breaks})"
-
-
-def verdict_text(verdict: Verdict) -> str:
-    """A verdict in lines: the outcome, each requirement, each loop that is not known to be stable, the warnings."""
-    lines = [f"  {WORDS[x.outcome]}: {x.quantity}: {line_text(x)}" for x in verdict.lines]
-    lines += [f"  {_stable_word(verdict, name)}: {unstable_text(verdict, name)}" for name in verdict.unstable]
-    lines += [f"  warning: {warning}" for warning in verdict.warnings]
-    return "\n".join([f"loop {verdict.loop}: {WORDS[verdict.outcome]}", *lines])
-
-
 def headline(verdicts: Sequence[Verdict]) -> str:
     """The outcome of all loops in one sentence: what holds, else the first of the worst and how many more there are."""
-    outcome = outcome_of(verdicts)
-    if outcome == "passed":
+    outcome = Outcome.worst(one.outcome for one in verdicts)
+    if outcome is Outcome.PASSED:
         many = sum(len(verdict.lines) for verdict in verdicts)
         points = len({name for verdict in verdicts for name in verdict.margins})
         held = f"all requirements hold ({many})" if many else "no requirement given"
         return f"{held} and the closed loop is stable at every operating point ({points})"
     short = [(word, words) for verdict in verdicts for word, words in _shortcomings(verdict)]
-    short.sort(key=lambda one: one[0] != WORDS[outcome])
+    short.sort(key=lambda one: one[0] != outcome.word)
     others = f"; {len(short) - 1} more not met or undecided" if len(short) > 1 else ""
     return short[0][1] + others
 
@@ -173,7 +200,8 @@ def page_text(verdicts: Sequence[Verdict], more: str = "", run: str = "RUN") -> 
 
     Under them stands what would settle an undecided loop, a command on one row, for the folder `run`.
     """
-    first = f"verdict: {WORDS[outcome_of(verdicts)]}{more}: {headline(verdicts)}"
+    word = Outcome.worst(one.outcome for one in verdicts).word
+    first = f"verdict: {word}{more}: {headline(verdicts)}"
     orders = dict.fromkeys(order_text(order, run) for verdict in verdicts for order in verdict.orders)
     after = ["", *orders] if orders else []
     return "\n".join([folded(first), *(f"\n{_requirements(verdict)}" for verdict in verdicts), *after])
@@ -195,64 +223,19 @@ def folded(line: str) -> str:
 
 
 def _requirements(verdict: Verdict) -> str:
-    stable, _, word = stability_of(verdict)
-    rows = [("closed loop", "stable", stable, "-", word)] if verdict.margins else []
-    rows += [
-        (x.quantity, number_of(x, x.required), worst_text(x), interval_or_bound_text(x), WORDS[x.outcome])
-        for x in verdict.lines
-    ]
-    widths = [max(map(len, column)) for column in zip(_HEADINGS, *rows, strict=True)]
-    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in (_HEADINGS, *rows)]
-    return "\n".join([f"{f'Loop {verdict.loop}'.rstrip()}: {WORDS[verdict.outcome]}", *lines])
-
-
-def worst_text(line: RequirementResult) -> str:
-    """The number found, and whether it is the largest that was searched."""
-    return f"> {line.value:g}" if line.beyond else number_of(line, line.value)
-
-
-def stability_of(verdict: Verdict) -> tuple[str, str, str]:
-    """The closed loop at its worst operating point, where that is, and the outcome: a row of its own in each table."""
-    if not verdict.margins:
-        return "-", "-", "-"
-    name = min(verdict.margins, key=lambda name: STABLE_RANK[verdict.margins[name].stable])
-    stable = verdict.margins[name].stable
-    return stable, name, WORDS[{"stable": "passed", "unstable": "failed"}.get(stable, "undecided")]
+    heads = ("requirement", "required", "worst case", "95 % interval", "verdict")
+    rows = [(x.quantity, x.required, x.worst, x.interval, x.outcome.word) for x in verdict_rows(verdict)]
+    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in (heads, *rows)]
+    return "\n".join([f"{f'Loop {verdict.loop}'.rstrip()}: {verdict.outcome.word}", *lines])
 
 
 def _shortcomings(verdict: Verdict) -> list[tuple[str, str]]:
     """What does not hold of one loop: its word, and a sentence."""
-    unstable = [(_stable_word(verdict, name), unstable_text(verdict, name)) for name in verdict.unstable]
-    lines = [x for x in verdict.lines if not x.passed]
-    return unstable + [(WORDS[x.outcome], f"{x.quantity} of {_loop(verdict)}: {line_text(x)}") for x in lines]
-
-
-def _loop(verdict: Verdict) -> str:
-    return f"loop {verdict.loop}" if verdict.loop else "the loop"
-
-
-def _stable_word(verdict: Verdict, name: str) -> str:
-    return WORDS["failed" if verdict.margins[name].stable == "unstable" else "undecided"]
-
-
-def change_text(change: MarginChange, points: int = 1) -> str:
-    """A margin's change in one sentence; `points` is at how many operating points it is so."""
-    unit = _unit(change.unit)
-    interval = "" if change.interval is None else f" ({interval_text(change.interval)}{unit})"
-    others = f" and {points - 1} more" if points > 1 else ""
-    return (
-        f"{change.quantity} of loop {change.loop} is {change.outcome} by {abs(change.change):.4g}{unit}{interval}:"
-        f" {change.before:.4g} to {change.now:.4g}{unit} in {change.recording}{others}"
-    )
-
-
-def line_change_words(change: LineChange) -> tuple[str, str, str, str]:
-    """Outcome and limit before, and now."""
-    before = (
-        ("not required", "-") if change.before is None else (WORDS[change.before.outcome], wished_text(change.before))
-    )
-    now = ("not required", "-") if change.now is None else (WORDS[change.now.outcome], wished_text(change.now))
-    return (*before, *now)
+    unstable = [(verdict.margins[x].stable.outcome.word, unstable_text(verdict, x)) for x in verdict.unstable]
+    of = f"loop {verdict.loop}" if verdict.loop else "the loop"
+    lines = [(x.outcome.word, f"{x.quantity} of {of}: {line_text(x)}") for x in verdict.lines if not x.passed]
+    return unstable + lines
 
 
 def _unit(unit: str) -> str:

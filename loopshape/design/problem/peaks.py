@@ -14,6 +14,7 @@ import numpy as np
 from loopshape.core.kernels.loops import tuning_rows as kernel
 from loopshape.core.units import Array, rad
 from loopshape.data.control.controller import HALF_POWER
+from loopshape.data.requirement.requirements import LIMITS
 from loopshape.design.problem.evaluation import Evaluation, weighed
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import SURE, Rows, Tighten, of_kernel, once, required, scaled
@@ -23,23 +24,7 @@ from loopshape.loop.stability.stability import FIT_DEG
 NORM = "weighted_norm"
 _OF_C = "controller_bandwidth_hz"
 #: quantity -> magnitude
-_KINDS = {
-    "sensitivity_peak_db": kernel.S,
-    "modulus_margin": kernel.S,
-    "complementary_peak_db": kernel.T,
-    "control_peak_db": kernel.CS,
-    "control_high_frequency_db": kernel.CS,
-    "process_peak_db": kernel.PS,
-    "disk_margin": kernel.DISK,
-    "sensitivity_mask_db": kernel.S,
-    "complementary_mask_db": kernel.T,
-    "control_mask_db": kernel.CS,
-    "process_mask_db": kernel.PS,
-    "loop_mask_db": kernel.LOOP,
-    "loop_floor_db": kernel.FLOOR,
-    NORM: kernel.NORM,
-    SURE: kernel.SURE,
-}
+_KINDS = {x.name: int(getattr(kernel, x.magnitude)) for x in LIMITS if x.magnitude} | {SURE: kernel.SURE}
 #: quantities that go on above the last line, where |L| stays below its last value
 _STAY = (
     "sensitivity_peak_db", "modulus_margin", "complementary_peak_db", "disk_margin", "control_peak_db",

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.outcomes import Change
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.profile import Profile
-from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Checked, Comparison
@@ -27,8 +28,7 @@ from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.io.write.requirements import read_required
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
-from loopshape.loop.loops import closed_loops
-from loopshape.loop.margin.error_rms import refuse_several_disturbed
+from loopshape.loop.matrix.several import loop_matrices, verdict_on_matrices
 from loopshape.loop.verdict import check_loops
 
 
@@ -55,10 +55,10 @@ class LoopCheck:
 
 @dataclass(frozen=True, eq=False)
 class MatrixCheck:
-    """Several loops of one plant at each operating point, what all must keep together, and what came out."""
+    """Several loops of one plant: the loops by operating point, what all must keep together, and what came out."""
 
-    loops: tuple[Loop, ...]
-    together: Requirements
+    matrices: Mapping[str, Loop]
+    several: SeveralRequirements
     verdict: Verdict
 
 
@@ -111,7 +111,7 @@ class Baseline(Plain):
     @property
     def worse(self) -> bool:
         """Whether something got worse, in all or by the controller, which other data do not hide."""
-        return "worse" in (self.whole.outcome, "" if self.by_controller is None else self.by_controller.outcome)
+        return Change.WORSE in (self.whole.outcome, self.by_controller and self.by_controller.outcome)
 
 
 def read_diagram(path: Path, run: Path) -> Diagram:
@@ -152,32 +152,21 @@ def check_all(
     Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
     has FRFs of single loops only.
     """
-    requirements, together = (None, None) if require is None else read_required(require)
+    requirements, several = (None, None) if require is None else read_required(require)
     controllers = read_controllers(controller)
-    if not matrix and together is None:
+    if not matrix and several is None:
         drawn = None if diagram is None else read_diagram(diagram, run)
         met = None if drawn is None else drawn.equivalent()
         loops = _single_loops(run, controllers, requirements, profile, disturbance, met)
         inner = () if met is None else tuple(met.inner.values())
         return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)
     if diagram is not None:
-        raise WrongUseError(
-            "a diagram closes its other loops itself, and is checked at its one open block", "several loops at once",
-            "leave --matrix out",
-        )  # fmt: skip
-    asked = requirements or ()
-    frfs, under = read_several_loops(run), recorded_under(run)
-    chosen = closed_loops(frfs, controllers, closed)
-    refuse_several_disturbed(chosen.names, disturbance)
-    if profile is not None:
-        given = {one.loop: one for one in asked}
-        asked = tuple(profile.joined(given.get(name, Requirements(name))) for name in chosen.names)
-    verdict, built = check_loops(frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under)
-    if len(chosen.names) > 1:
-        return Checks(verdict.parts, matrix=MatrixCheck(built, together or Requirements(), verdict))
-    own, required = controller_of(controllers, verdict.loop), (*asked, Requirements(verdict.loop))[0]
-    one = LoopCheck(chosen.frfs, required, (), checked(verdict, own, chosen.frfs), built)
-    return Checks((verdict,), (one,))
+        raise WrongUseError("a diagram is checked at its tuned block", "several loops at once", "leave --matrix out")
+    if disturbance is not None:
+        raise WrongUseError("the rms of an error is predicted for single loops", "several at once", "check one alone")
+    together = several or SeveralRequirements()
+    one = _several_loops(run, controllers, requirements or (), together, profile, closed)
+    return Checks(one.verdict.parts, matrix=one)
 
 
 def _single_loops(
@@ -202,6 +191,24 @@ def _single_loops(
     asked = asked if met is None else tuple(map(met.asked, asked))
     shaken = None if disturbance is None else read_run(disturbance)
     return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, shaken) for required in asked)
+
+
+def _several_loops(
+    run: Path,
+    controllers: Sequence[Controller],
+    requirements: Sequence[Requirements],
+    several: SeveralRequirements,
+    profile: Profile | None,
+    closed: Sequence[str] | None,
+) -> MatrixCheck:
+    matrices, notes = loop_matrices(
+        read_several_loops(run), controllers, several, loops=closed, held=recorded_under(run)
+    )
+    if profile is not None:
+        given = {one.loop: one for one in requirements}
+        names = next(iter(matrices.values())).names
+        requirements = [profile.joined(given.get(name, Requirements(name))) for name in names]
+    return MatrixCheck(matrices, several, verdict_on_matrices(matrices, requirements, several, notes))
 
 
 def _check(

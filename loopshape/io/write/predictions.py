@@ -11,6 +11,7 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.json_ready import json_ready
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import INDICATORS, Indicators, Prediction, Step
 from loopshape.io.files import make_folder, reading, write_whole
@@ -92,7 +93,7 @@ def _read(words: Mapping[str, Any], arrays: Mapping[str, Any], k: int, where: st
         )
         if not all(np.isfinite(getattr(step, name)).all() for name in _STEP):
             raise WrongUseError("a predicted step is of finite numbers", "NaN or infinity", "predict again")
-    made = Prediction(sensitivity, str(words["stability"]), step, tuple(map(str, words["notes"])))
+    made = Prediction(sensitivity, ClosedLoop(words["stability"]), step, tuple(map(str, words["notes"])))
     made.controller  # noqa: B018  refuses a prediction without one
     return made
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.requirement.requirements import TOGETHER, Requirements
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.io.config_table import ConfigTable, is_number, read_words, refuse_doubles, said_in
 
 FORMAT = "loopshape-requirements/1"
@@ -19,7 +19,7 @@ def read_requirements(path: Path) -> tuple[Requirements, ...]:
     return read_required(path)[0]
 
 
-def read_required(path: Path) -> tuple[tuple[Requirements, ...], Requirements | None]:
+def read_required(path: Path) -> tuple[tuple[Requirements, ...], SeveralRequirements | None]:
     """What a file requires of each loop, and of all together, None where it has no table `[several]`."""
     words = read_words(path, FORMAT)
     words.only("format", "loop", "several")
@@ -28,18 +28,17 @@ def read_required(path: Path) -> tuple[tuple[Requirements, ...], Requirements | 
     if not requirements:
         raise WrongUseError(f"{path.name} requires nothing", "no [[loop]]", "write a [[loop]] with a name")
     refuse_doubles((one.loop for one in requirements), path.name, "loops")
-    return requirements, _together(words.inner("several")) if "several" in words.table else None
+    return requirements, _several(words.inner("several")) if "several" in words.table else None
 
 
-def _together(words: ConfigTable) -> Requirements:
-    words.only(*(limit.name for limit in TOGETHER), "integrators", "unstable_poles", "band_hz")
+def _several(words: ConfigTable) -> SeveralRequirements:
     if "band_hz" in words.table:
         words.list_of_numbers("band_hz")
     for key in words.table:
         if key not in ("band_hz", "integrators", "unstable_poles"):  # whole numbers are the noun's to check
             words.number(key)
     with said_in(words.where):
-        return Requirements.from_table({"name": "", **words.table})
+        return SeveralRequirements.from_table(words.table)
 
 
 def _read(words: ConfigTable) -> Requirements:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, cast, get_args, get_origin, get_type_hints
 
 from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.requirement.requirements import Margins
-from loopshape.data.result.baseline import RANK, Checked
+from loopshape.data.requirement.requirements import LIMIT_OF
+from loopshape.data.result.baseline import Checked
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.io.config_table import ConfigTable, refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
@@ -21,6 +23,8 @@ FORMAT = "loopshape-verdict/2"
 #: what the first version called fields of a requirement's line and of what a detuning loses
 _BEFORE = {"wished": "required", "found": "value", "spare": "slack"}
 _KEYS = {"loop", "outcome", "controller", "data", "lines", "margins", "warnings"}
+#: what stands beside the values of margins, each by the names of limits
+_NAMED: dict[str, Any] = {"intervals": tuple[float, float], "at_hz": float, "bounds": float}
 _AGAIN = "write it again: loopshape check ... --save-verdict"
 
 
@@ -45,7 +49,7 @@ def _table(one: Checked) -> dict[str, Any]:
         "controller": {"name": controller.loop, "rate_hz": controller.rate_hz, **controller_table(controller)},
         "data": one.data,
         "lines": list(verdict.lines),
-        "margins": verdict.margins,
+        "margins": {name: one.table() for name, one in verdict.margins.items()},
         "warnings": list(verdict.warnings),
     }
 
@@ -86,11 +90,8 @@ def _upgraded(data: Any, by_name: bool = False) -> Any:
 
 def _read(table: Mapping[str, Any], where: str) -> Checked:
     _only(table, _KEYS)
-    margins = {str(name): _noun(Margins, one) for name, one in table["margins"].items()}
+    margins = {str(name): _margins(one) for name, one in table["margins"].items()}
     lines = tuple(_noun(RequirementResult, one) for one in table["lines"])
-    for word in (*(line.outcome for line in lines), *(m.stable for m in margins.values())):
-        if word not in RANK:
-            raise ValueError(f"{word!r} is no outcome")
     verdict = Verdict(str(table["loop"]), lines, margins, tuple(map(str, table["warnings"])))
     if verdict.outcome != table["outcome"]:
         raise ValueError(f"outcome {table['outcome']!r}, and its lines say {str(verdict.outcome)!r}")
@@ -100,6 +101,15 @@ def _read(table: Mapping[str, Any], where: str) -> Checked:
     if set(data) != set(margins) or not margins:
         raise ValueError("the operating points of data and margins differ")
     return Checked(verdict, controller, data)
+
+
+def _margins(table: Mapping[str, Any]) -> Margins:
+    """Margins from values by name, with intervals, frequencies and bounds by the same, and all other fields."""
+    named = {key: {x: _typed(kind, one) for x, one in table.get(key, {}).items()} for key, kind in _NAMED.items()}
+    values = {name: _typed(float, value) for name, value in table.items() if name in LIMIT_OF}
+    rest = {name: value for name, value in table.items() if name not in {*LIMIT_OF, *_NAMED}}
+    bare = _noun(Margins, {"readings": {}, **rest})
+    return replace(bare, readings=Margins.of(values, bare.stable, **named).readings)
 
 
 def _only(table: Mapping[str, Any], known: set[str]) -> None:
@@ -127,6 +137,8 @@ def _typed(hint: Any, value: Any) -> Any:
         return tuple(_typed(inner, one) for inner, one in zip(inners, value, strict=True))
     if origin is not None:  # Mapping[str, inner]
         return {str(name): _typed(args[1], one) for name, one in value.items()}
+    if issubclass(hint, StrEnum) and isinstance(value, str):
+        return hint(value)
     if isinstance(value, bool) != (hint is bool) or not isinstance(value, (str, int, float) if hint is float else hint):
         raise TypeError(f"{value!r} is no {hint.__name__}")
     return hint(value)

@@ -11,14 +11,16 @@ lies there is told, and above, the interval reaches to what P = 0 and P = consta
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.noise import rms_interval
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.result.margins import Margins, Reading
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.stability.continued import continued
 
@@ -69,19 +71,10 @@ def error_rms(loop: Loop, disturbance: Disturbance) -> ErrorRms:
 
 def with_error_rms(loop: Loop, margins: Margins, disturbance: Disturbance) -> Margins:
     """Margins with the rms of the error that a disturbance makes; inf where the loop is unstable."""
-    if margins.stable == "unstable":
-        return replace(margins, error_rms=float("inf"))
+    if margins.stable is ClosedLoop.UNSTABLE:
+        return margins.with_readings(error_rms=Reading(float("inf")))
     found = error_rms(loop, disturbance)
-    return replace(margins, error_rms=found.rms, intervals={**margins.intervals, "error_rms": found.interval})
-
-
-def refuse_several_disturbed(names: Sequence[str], disturbances: object) -> None:
-    """Refuse what disturbs one loop where several loops are closed anew."""
-    if len(names) > 1 and disturbances:
-        raise WrongUseError(
-            "the error of several loops follows from what disturbs all of them at once, which a recording of one does"
-            " not tell", f"loops {', '.join(names)} and a disturbance", "take one loop alone",
-        )  # fmt: skip
+    return margins.with_readings(error_rms=Reading(found.rms, found.interval))
 
 
 def of_points(loops: Mapping[str, Loop], disturbances: Sequence[Disturbance]) -> dict[str, Disturbance]:

@@ -9,15 +9,16 @@ from functools import cached_property
 import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
-from loopshape.core.units import Array, ComplexArray, db
+from loopshape.core.toolboxes import function_at
+from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.limits_over import MASKED, Mask
-from loopshape.data.requirement.requirements import Margins
-from loopshape.data.requirement.weight import Weight
+from loopshape.data.requirement.limits_over import Mask
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
+from loopshape.data.requirement.weight import Weight, over
 from loopshape.data.response.smoothed import by_draw, spread
+from loopshape.data.result.margins import Margins, Reading
 from loopshape.loop.margin.between import axis_crossings, followed, unit_crossings
-from loopshape.loop.margin.reading import Reader
 from loopshape.loop.stability.holes import gaps_of
 from loopshape.loop.stability.low_end import DOWN, LowModel, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.stability.obstacles import slope_at_end
@@ -28,53 +29,61 @@ from loopshape.loop.stability.stability import closed_loop_stability
 REACH = 1.04 * 1.972
 Interval = tuple[float, float]
 
-#: fields of `Margins` read as they are, and those read as logarithms
-PLAIN = {
-    "gain_margin_db": kernel.GAIN_DB,
-    "gain_reduction_margin_db": kernel.REDUCTION_DB,
-    "phase_margin_deg": kernel.PHASE_DEG,
-    "complementary_peak_db": kernel.COMPLEMENTARY_DB,
-    "control_peak_db": kernel.CONTROL_DB,
-    "control_high_frequency_db": kernel.CONTROL_HIGH_DB,
-    "process_peak_db": kernel.PROCESS_DB,
-    "sensitivity_mask_db": kernel.MASK_S,
-    "complementary_mask_db": kernel.MASK_T,
-    "control_mask_db": kernel.MASK_CS,
-    "process_mask_db": kernel.MASK_PS,
-    "loop_mask_db": kernel.MASK_L,
-    "loop_floor_db": kernel.FLOOR_L,
-}
-LOGARITHMS = {
-    "modulus_margin": kernel.LN_MODULUS,
-    "delay_margin_s": kernel.LN_DELAY_S,
-    "disk_margin": kernel.LN_DISK,
-    "bandwidth_hz": kernel.LN_BANDWIDTH_HZ,
-    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
-    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
-    "weighted_norm": kernel.LN_WEIGHTED,
-}
-#: distances to -1 and peaks over them, which scatter as logarithms only where they are known to better than half
-_DISTANCES = {
-    kernel.LN_MODULUS: 0.5,
-    kernel.LN_DISK: 0.5,
-    kernel.COMPLEMENTARY_DB: 4.34,
-    kernel.CONTROL_DB: 4.34,
-    kernel.PROCESS_DB: 4.34,
-}
-#: bandwidths that lie above the last line where nothing was met up to it
-_BANDWIDTHS = {
-    "sensitivity_bandwidth_hz": kernel.LN_SENSITIVITY_HZ,
-    "complementary_bandwidth_hz": kernel.LN_COMPLEMENTARY_HZ,
-}
-#: nothing without weights
-_WEIGHTED = "weighted_norm"
-#: what these lie between, from 0
-_MOST = {
-    "gain_margin_db": np.inf,
-    "gain_reduction_margin_db": np.inf,
-    "phase_margin_deg": 180.0,
-    "disk_margin": 2.0,
-}
+#: limits that the kernel reads, each with its column
+COLUMN_OF = {x.name: int(getattr(kernel, x.column)) for x in LIMIT_OF.values() if x.column}
+_COLUMNS = tuple((LIMIT_OF[name], k) for name, k in COLUMN_OF.items())
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads margins off lines: |CS| counts as high from `from_hz` on, responses are compared with `masks`,
+    and their norm is that of `weights`."""
+
+    from_hz: float = np.inf
+    masks: tuple[Mask, ...] = ()
+    weights: tuple[Weight, ...] = ()
+
+    @classmethod
+    def of(cls, requirements: Requirements) -> Reader:
+        """A reader for the requirements at one operating point."""
+        return cls(requirements.control_high_frequency_from_hz or np.inf, requirements.masks, requirements.weights)
+
+    def read(
+        self, f: Array, L: ComplexArray, C: ComplexArray, above_hz: Array, C_above: ComplexArray,
+        *, bounded: bool = True, least: float = 0.0,
+    ) -> tuple[Array, Array]:  # fmt: skip
+        """Columns (loops, columns) of the kernel for open loops L (loops, nf) under C (nf,), and where they lie in Hz.
+
+        What |L| may do above the last line counts where `bounded`: it stays below its last value, or `least`.
+        """
+        f, L, C, above_hz, C_above = _seen(f, L, C, above_hz, C_above)
+        over, over_above = self._over(f, above_hz)
+        return kernel.read_margins(f, L, C, above_hz, C_above, self.from_hz, bounded, over, over_above, True, least)
+
+    def read_drawn(
+        self, f: Array, reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, C: ComplexArray,
+        above_hz: Array, C_above: ComplexArray, *, bounded: bool = True, least: float = 0.0,
+    ) -> Array:  # fmt: skip
+        """Columns (draws, columns) for `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
+        f, reference, factor, draws, C = _seen(f, reference, factor, draws, C)
+        over, over_above = self._over(f, above_hz)
+        above_hz, C_above = _seen(above_hz, C_above)
+        return kernel.read_drawn(
+            f, reference, factor, draws, C, above_hz, C_above, self.from_hz, bounded, over, over_above, least
+        )
+
+    def _over(self, f: Array, above_hz: Array) -> list[Array]:
+        """What weighs squared magnitudes on the lines and above them; no rows where nothing does."""
+        rows = None if self.masks or self.weights else 0
+        return _seen(*(over(self.masks, self.weights, x)[:rows] for x in (f, above_hz)))
+
+
+def _seen(*arrays: np.ndarray) -> list[np.ndarray]:
+    """Arrays as the kernels are compiled for them, read-only."""
+    views = [x.view() for x in arrays]
+    for x in views:
+        x.setflags(write=False)
+    return views
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,40 +165,46 @@ def margins(
     stability = closed_loop_stability(loop)
     crossings, crossing_intervals = _crossings(first, unit=True)
     phase_crossings, phase_intervals = _crossings(first, unit=False)
-    ends = _fields(low), _fields(high)
-    intervals = {n: (min(a, b), max(a, b)) for n, a, b in _paired(*ends)} if j.deviations is not None else {}
-    values = _fields(value)
+    ends = _values(low), _values(high)
+    pairs = {} if j.deviations is None else {n: (ends[0][n], ends[1][n]) for n in ends[0] if n in ends[1]}
+    intervals = {n: (min(pair), max(pair)) for n, pair in pairs.items()}
+    values = _values(value)
     if not in_sight(loop):
         _not_measured(values, bounds, intervals, float(j.f[0]))
-    return Margins(
-        **values,
-        controller_bandwidth_hz=controller_bandwidth_hz(loop.controller),
+    made = Margins.of(
+        values,
+        stability.outcome,
+        intervals=intervals,
+        at_hz=_places(at[0], float(j.f[0])),
+        bounds=bounds,
         crossings_hz=crossings,
         phase_crossings_hz=phase_crossings,
-        at_hz=_places(at[0], float(j.f[0])),
-        stable=stability.outcome,
         stability_reason=stability.reason,
         stability_band_hz=getattr(stability, "band_hz", None),
-        intervals=intervals,
-        bounds=bounds,
         missing_hz=tuple((gap.low_hz, gap.high_hz) for gap in gaps_of(loop) if gap.missing),
         last_hz=float(j.f[-1]),
         last_gain=float(abs(j.L[-1])),
         last_slope=slope_at_end(j.f, j.L),
         crossing_intervals_hz=crossing_intervals,
         phase_crossing_intervals_hz=phase_intervals,
-        detuning=None,
     )
+    return made.with_readings(**{x.name: function_at(x.read)(loop) for x in LIMITS if x.read})
+
+
+def controller_bandwidth(loop: Loop) -> Reading:
+    """Highest frequency in Hz at which |C| is within 3 dB of its largest."""
+    return Reading(controller_bandwidth_hz(loop.controller))
 
 
 def _not_measured(
     values: dict[str, float], bounds: dict[str, float], intervals: dict[str, Interval], first_hz: float
 ) -> None:
     """Leave out what belongs to a crossover below the first line: nan, and a bandwidth from 0 up to that line."""
-    for name in ("phase_margin_deg", "delay_margin_s", "gain_reduction_margin_db"):
-        values[name] = float("nan")
-        bounds.pop(name, None)
-        intervals.pop(name, None)
+    for limit in LIMITS:
+        if limit.crossing:
+            values[limit.name] = float("nan")
+            bounds.pop(limit.name, None)
+            intervals.pop(limit.name, None)
     if values["bandwidth_hz"] == 0.0:
         bounds["bandwidth_hz"] = first_hz
 
@@ -244,13 +259,13 @@ def _bounds(loop: Loop, j: _Judged, found: Array, reader: Reader) -> dict[str, f
     A bandwidth that the lines do not reach is at least their last frequency.
     """
     best, _ = _read(loop, j, j.L[None], reader, bounded=False)
-    ends = {name: float("inf") for name, k in _BANDWIDTHS.items() if found[k] == np.log(j.f[-1])}
+    ends = {x.name: float("inf") for x, k in _COLUMNS if x.open and found[k] == np.log(j.f[-1])}
     bounded = found != best[0]
     if not bounded.any():
         return ends
     _, low, high = _with_intervals(loop, j, best[0], reader, bounded=False)
     better = np.where(best[0] > found, np.maximum(low, high), np.minimum(low, high))
-    good = _fields(np.where(bounded, better, np.nan))
+    good = _values(np.where(bounded, better, np.nan))
     return ends | {name: value for name, value in good.items() if not np.isnan(value)}
 
 
@@ -277,8 +292,9 @@ def _with_intervals(
     ordered = np.sort(drawn, axis=0)
     usual = np.isfinite(drawn).all(axis=0) & np.isfinite(reference[0]) & np.isfinite(found)
     usual &= _of_one_piece(np.where(usual, ordered, 0.0))
-    for column, most in _DISTANCES.items():
-        usual[column] = usual[column] and drawn[:, column].std() <= most
+    for limit, column in _COLUMNS:
+        if np.isfinite(limit.distance):
+            usual[column] = usual[column] and drawn[:, column].std() <= limit.distance
     shift = np.where(usual, drawn - np.where(usual, reference, 0.0), 0.0)
     value = found - shift.mean(axis=0)
     reach = np.hypot(REACH * shift.std(axis=0), _between(loop, j, reference[0], reader, bounded))
@@ -318,28 +334,19 @@ def _of_one_piece(ordered: Array) -> np.ndarray:
     return np.asarray((spread <= 2.0 * core + tiny) & (ordered[-1] - ordered[0] >= 4.0 * spread - tiny))
 
 
-def _fields(columns: Array) -> dict[str, float]:
-    """Fields of `Margins` from the kernel's columns."""
-    asked = {name: k for name, k in PLAIN.items() if name not in MASKED or columns[k] > -np.inf}
-    out = {name: float(columns[k]) for name, k in asked.items()}
-    logarithms = {name: k for name, k in LOGARITHMS.items() if name != _WEIGHTED or columns[k] > -np.inf}
-    out |= {name: float(np.exp(columns[k])) for name, k in logarithms.items()}
-    with np.errstate(over="ignore"):
-        out["sensitivity_peak_db"] = float(-db(np.exp(columns[kernel.LN_MODULUS])))
-    for name, most in _MOST.items():  # a bias taken off may lead out of what can be
-        if np.isfinite(out[name]):
-            out[name] = min(max(out[name], 0.0), most)
+def _values(columns: Array) -> dict[str, float]:
+    """Quantities by name from the kernel's columns; a bias taken off may lead out of what can be."""
+    read = [(x, columns[k]) for x, k in _COLUMNS if not x.asked or columns[k] > -np.inf]
+    out = {x.name: float(x.value(column)) for x, column in read}
+    for limit, _ in read:
+        if limit.ceiling is not None and np.isfinite(out[limit.name]):
+            out[limit.name] = min(max(out[limit.name], 0.0), limit.ceiling)
     return out
-
-
-def _paired(low: dict[str, float], high: dict[str, float]) -> list[tuple[str, float, float]]:
-    return [(name, low[name], high[name]) for name in low if name in high]
 
 
 def _places(at: Array, first_hz: float) -> dict[str, float]:
     """Frequencies in Hz by quantity; 0 where the crossing lies there."""
-    columns = PLAIN | LOGARITHMS | {"sensitivity_peak_db": kernel.LN_MODULUS}
-    return {n: float(at[k]) if at[k] > 1e-3 * first_hz else 0.0 for n, k in columns.items() if np.isfinite(at[k])}
+    return {x.name: float(at[k]) if at[k] > 1e-3 * first_hz else 0.0 for x, k in _COLUMNS if np.isfinite(at[k])}
 
 
 def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Interval, ...]]:

@@ -1,9 +1,9 @@
-"""Several loops at once -> SeveralMargins, with intervals from the plant's covariance."""
+"""Several loops at once -> Margins, with intervals from the plant's covariance."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.control.loop import Loop, responses, sensitivity
 from loopshape.data.response.smoothed import Dense
-from loopshape.data.result.verdict import SeveralMargins
+from loopshape.data.result.margins import Margins, Reading
 from loopshape.data.signal.channel import Channel, sum_terms
-from loopshape.loop.margin.margins import REACH
+from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.loop.margin.margins import REACH, margins
 from loopshape.loop.matrix.determinant import closed_loops_stability, followed_matrix
 from loopshape.loop.matrix.structured import mu_bounds, refined, upper_at
 
@@ -32,10 +33,6 @@ FIELDS = {
     "sensitivity_peak_db": "S",
     "complementary_peak_db": "T",
 }
-#: what is read of a single loop alone
-_OF_ONE_LOOP = (
-    "gain_reduction_margin_db", "delay_margin_s", "control_peak_db", "control_high_frequency_db", "bandwidth_hz",
-)  # fmt: skip
 
 
 class _Peak(NamedTuple):
@@ -52,7 +49,7 @@ class _Peak(NamedTuple):
     beside: float
 
 
-def several_margins(loops: Loop) -> SeveralMargins:
+def several_margins(loops: Loop) -> Margins:
     """Margins of all loops at once, on the lines of the plant's matrix.
 
     With M = (S - T)/2 the loops stand every change of theirs by (1 + d/2)/(1 - d/2), |d| < a complex, as long as
@@ -69,6 +66,8 @@ def several_margins(loops: Loop) -> SeveralMargins:
     the lines show makes them, and by a parabola through the largest line and its neighbours, whose rise, and as much
     again, is in the bad half of the interval.
     """
+    if len(loops.names) == 1:
+        return _of_one(loops)
     scatter = followed_matrix(loops) if loops.plant.covariance.any() else None
     P, f, c = loops.P, loops.frequency_hz, loops.c
     if scatter is not None:
@@ -92,32 +91,51 @@ def several_margins(loops: Loop) -> SeveralMargins:
     values |= {g: peaks[g].beside for n, g in FIELDS.items() if n in bounds}
     stability = closed_loops_stability(loops)
     disk = peaks["disk"]
-    found: dict[str, Any] = {
-        name: _field(name, values[g]) if g in values else float("nan") for name, g in FIELDS.items()
-    }
+    found = {name: _field(name, values[g]) for name, g in FIELDS.items() if g in values}
     intervals = {n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches}
     a = found["disk_margin"]
     reached = a if "disk_margin" in bounds else min(a * float(np.exp(disk.value - disk.lower)), 2.0)
     if reached > a > 0.0:  # between what is guaranteed and what is known to be lost nothing is known
         low, high = intervals.get("disk_margin", (a, a))
         intervals["disk_margin"] = low, high * reached / a
-    return SeveralMargins(
-        **(dict.fromkeys(_OF_ONE_LOOP, float("nan")) | found),
-        gain_margin_db=float(db((2.0 + a) / (2.0 - a))) if a < 2.0 else float("inf"),
-        phase_margin_deg=float(2.0 * deg(np.arctan(0.5 * a))),
-        crossings_hz=(),
-        phase_crossings_hz=(),
+    return Margins.of(
+        found | _of_the_disk(a),
+        stability.outcome,
+        intervals=intervals,
         at_hz={name: float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
-        stable=stability.outcome,
+        bounds=bounds,
         stability_reason=stability.reason,
         stability_band_hz=stability.band_hz,
-        intervals=intervals,
-        bounds=bounds,
         loops=loops.names,
         disk_margin_reached=reached,
         worst_changes=_changes(disk),
         unstable_poles=stability.unstable_poles,
         notes=(MIXED,) if mixed else (),
+    )
+
+
+def _of_the_disk(a: float) -> dict[str, float]:
+    """What every loop's gain and phase may vary by, all at once, by the disk margin."""
+    gain = float(db((2.0 + a) / (2.0 - a))) if a < 2.0 else float("inf")
+    return {"gain_margin_db": gain, "phase_margin_deg": float(2.0 * deg(np.arctan(0.5 * a)))}
+
+
+def _of_one(loops: Loop) -> Margins:
+    """Of one loop its own margins: the same lines, the same draws, the same intervals."""
+    plant, scatter = smoothed(loops.plant)
+    loop = Loop(
+        plant, loops.controllers[0], loops.integrators, loops.unstable_poles, None, loops.beyond, loops.plant, scatter
+    )
+    found = margins(loop)
+    own = {name: found[name] for name in FIELDS if name != "input_output_disk_margin"}
+    varied = {name: Reading(value) for name, value in _of_the_disk(found.disk_margin).items()}
+    return Margins(
+        own | varied,
+        found.stable,
+        found.stability_reason,
+        found.stability_band_hz,
+        loops=loops.names,
+        disk_margin_reached=found.disk_margin,
     )
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from loopshape.core.kernels.loops import encirclements as kernel
 from loopshape.core.kernels.loops.encirclements import FIT_DEG as FIT_DEG
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import ComplexArray, deg, hz
 from loopshape.data.control.loop import Loop
 from loopshape.data.response.model import TransferFunction
@@ -49,14 +50,14 @@ LOWER = 0.1
 
 @dataclass(frozen=True)
 class Stability:
-    """`stable`, `unstable` or `undecided`, the number of unstable closed-loop poles counted, and why.
+    """Whether the closed loop is stable, the number of unstable closed-loop poles counted, and why.
 
     `band_hz` is the band to measure where it is undecided, None where measuring does not help. Where it is decided, a
     resonance between lines with less damping than `unseen_damping` could, at `unseen_at_hz` first, change the count and
     leave no trace on them.
     """
 
-    outcome: str
+    outcome: ClosedLoop
     unstable_poles: int | None
     reason: str
     band_hz: tuple[float, float] | None = None
@@ -78,7 +79,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
     """
     cancelled = hidden_mode(loop)
     if cancelled:
-        return Stability("unstable", None, cancelled)
+        return Stability(ClosedLoop.UNSTABLE, None, cancelled)
     f, L = loop.frequency_hz, loop.L
     if loop.integrators is None:
         return _undecided(
@@ -99,8 +100,9 @@ def closed_loop_stability(loop: Loop) -> Stability:
         return _undecided(f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
     unseen = unseen_resonance(loop)
     if poles:
-        return Stability("unstable", poles, f"{poles} closed-loop poles in the right half plane", None, *unseen)
-    return Stability("stable", 0, "the encirclements of -1 balance the unstable poles", None, *unseen)
+        reason = f"{poles} closed-loop poles in the right half plane"
+        return Stability(ClosedLoop.UNSTABLE, poles, reason, None, *unseen)
+    return Stability(ClosedLoop.STABLE, 0, "the encirclements of -1 balance the unstable poles", None, *unseen)
 
 
 def hidden_mode(loop: Loop) -> str:
@@ -147,7 +149,7 @@ def _sign_of_one(loop: Loop) -> str:
 
 
 def _undecided(reason: str, band_hz: tuple[float, float] | None = None) -> Stability:
-    return Stability("undecided", None, reason, band_hz)
+    return Stability(ClosedLoop.UNDECIDED, None, reason, band_hz)
 
 
 def unstable_count(loop: Loop) -> int | Obstacle:

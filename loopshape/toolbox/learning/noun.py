@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.json_ready import Plain
+from loopshape.core.outcomes import Outcome
 from loopshape.core.units import TWO_PI, Array
-from loopshape.data.result.verdict import Outcome
 from loopshape.toolbox.learning.taps import Feedforward
 
 

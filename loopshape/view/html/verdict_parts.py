@@ -7,36 +7,34 @@ from dataclasses import replace
 
 import numpy as np
 
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit, Margins
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
 from loopshape.data.result.detuning import Reach
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.run_report import CheckedLoop, RunReport
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import reach_text
+from loopshape.data.result.verdict_words import Row, row_of
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.words import (
     DASH,
-    OUTCOME_OF,
+    TYPESET,
     WORDS,
     Cell,
     badge,
     band,
     count,
     figure,
-    found_text,
     interval,
-    longer,
     named,
     number,
     point,
-    required,
     shown_unit,
     sign,
-    slack,
     table,
     together,
-    with_reach,
 )
+from loopshape.view.verdict.tables import reach_text
 
 GAUGE_WIDTH, GAUGE_HEIGHT = 170, 26
 
@@ -97,13 +95,11 @@ def _few(names: Sequence[str], most: int = 6) -> str:
 
 
 def _in_words(line: RequirementResult) -> str:
-    limit = LIMIT_OF[line.quantity]
-    reach, more = f" ({with_reach(line)})" if line.span else "", longer(line)
+    row = row_of(line, TYPESET)
+    reach, more = f" ({row.interval})" if line.span else "", f"; {row.decides}" if row.decides else ""
     at = "" if line.at_hz is None else f", {number(line.at_hz)} Hz"
-    return (
-        f"{limit.label}: required {required(line)}, found {found_text(line)}{reach} at {line.recording}{at}"
-        f"{f'; {more}' if more else ''}"
-    )
+    worst = f"{row.worst} {row.unit}".rstrip()
+    return f"{LIMIT_OF[line.quantity].label}: required {row.asked}, found {worst}{reach} at {line.recording}{at}{more}"
 
 
 def requirements(one: CheckedLoop) -> Markup:
@@ -114,7 +110,7 @@ def requirements(one: CheckedLoop) -> Markup:
         "requirement", "verdict", "required", "worst case", "95 % interval", "slack", "required and found",
         "operating point", "frequency [Hz]",
     ]  # fmt: skip
-    rows = [_requirement(line) for line in one.verdict.lines]
+    rows = [_requirement(line, row_of(line, TYPESET)) for line in one.verdict.lines]
     caption = (
         f"Requirements of loop {one.verdict.loop}, each at its worst operating point. Slack is the room from what is"
         " required to the bad end of the interval. In the small scale the tick is what is required, the dot what was"
@@ -123,21 +119,12 @@ def requirements(one: CheckedLoop) -> Markup:
     return table(caption, columns, rows, cards=True)
 
 
-def _requirement(line: RequirementResult) -> list[Cell | Content]:
+def _requirement(line: RequirementResult, row: Row) -> list[Cell | Content]:
     limit = LIMIT_OF[line.quantity]
-    more = longer(line)
-    verdict = joined([badge(line.outcome), tag("span", more, class_="more") if more else None])
-    return [
-        limit.label,
-        verdict,
-        Cell(required(line), kind="whole-line"),
-        Cell(found_text(line), kind="whole-line"),
-        Cell(with_reach(line) or DASH, kind="whole-line"),
-        Cell(slack(line), kind="whole-line"),
-        Cell(gauge(line, limit), kind="gauge-cell"),
-        line.recording,
-        number(line.at_hz),
-    ]
+    verdict = joined([badge(row.outcome), tag("span", row.decides, class_="more") if row.decides else None])
+    cells = [row.asked, f"{row.worst} {row.unit}".rstrip(), row.interval, f"{row.slack} {row.unit}".rstrip()]
+    shown = [Cell(cell, kind="whole-line") for cell in cells]
+    return [limit.label, verdict, *shown, Cell(gauge(line, limit), kind="gauge-cell"), row.recording, number(row.at_hz)]
 
 
 def gauge(line: RequirementResult, limit: Limit) -> Markup:
@@ -155,7 +142,8 @@ def gauge(line: RequirementResult, limit: Limit) -> Markup:
     middle, tick = GAUGE_HEIGHT // 2, at[0]
     least = limit.sense == "at_least"
     bad = f"M{0 if least else tick} 3H{tick if least else GAUGE_WIDTH}V{GAUGE_HEIGHT - 3}H{0 if least else tick}Z"
-    words = f"required {required(line)}, found {found_text(line)}, {WORDS[line.outcome]}"
+    row = row_of(line, TYPESET)
+    words = f"required {row.asked}, found {row.worst} {row.unit}".rstrip() + f", {line.outcome.word}"
     return tag(
         "svg",
         tag("title", words),
@@ -219,7 +207,7 @@ def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: 
     columns = ["recording", "closed loop", *map(_column, limits)] + (["0 dB crossings [Hz]"] if crossed else [])
     rows = []
     for name, m in found.margins.items():
-        row: list[Cell | Content] = [named(name, points.get(name, "")), badge(OUTCOME_OF[m.stable], m.stable)]
+        row: list[Cell | Content] = [named(name, points.get(name, "")), badge(m.stable.outcome, m.stable)]
         row += [_margin(m, limit, worst[limit.name] == name, _asked(found, limit)) for limit in limits]
         rows.append([*row, _crossings(m)] if crossed else row)
     endless = [limit.label for limit in among if _endless(found, limit)]
@@ -236,12 +224,12 @@ def _caption(what: str, found: Verdict, endless: Sequence[str]) -> str:
 
 def _told(found: Verdict, limit: Limit) -> bool:
     """Whether a quantity has something to show: a number somewhere, or a requirement."""
-    values = [getattr(m, limit.name) for m in found.margins.values()]
+    values = [m[limit.name].value for m in found.margins.values()]
     return bool(np.isfinite(values).any()) or _asked(found, limit) is not None
 
 
 def _endless(found: Verdict, limit: Limit) -> bool:
-    return not _told(found, limit) and all(getattr(m, limit.name) == np.inf for m in found.margins.values())
+    return not _told(found, limit) and all(m[limit.name].value == np.inf for m in found.margins.values())
 
 
 def _column(limit: Limit) -> str:
@@ -257,7 +245,7 @@ def _worst(found: Verdict, limit: Limit) -> str:
     if named is not None:
         return named.recording
     sense = 1.0 if limit.sense == "at_least" else -1.0
-    values = {name: sense * getattr(m, limit.name) for name, m in found.margins.items()}
+    values = {name: sense * m[limit.name].value for name, m in found.margins.items()}
     values = {name: value for name, value in values.items() if not np.isnan(value)}
     return min(values, key=lambda name: values[name], default="") if len(set(values.values())) > 1 else ""
 
@@ -268,7 +256,7 @@ def _asked(found: Verdict, limit: Limit) -> RequirementResult | None:
 
 def _margin(m: Margins, limit: Limit, worst: bool, asked: RequirementResult | None) -> Cell:
     _, factor = shown_unit(limit)
-    value, reach = factor * getattr(m, limit.name), m.intervals.get(limit.name)
+    value, reach = factor * m[limit.name].value, m[limit.name].interval
     beyond = limit.name == "detuning_percent" and m.detuning is not None and m.detuning.worst.beyond
     shown = f"> {number(value)}" if beyond else number(value)
     parts: list[Content] = [tag("span", "worst", class_="flag") if worst else None, " ", shown]
@@ -284,13 +272,12 @@ def _crossings(m: Margins) -> str:
 
 def certificate(one: CheckedLoop) -> Markup:
     """Stability of each operating point with its reason; alike ones in one row. And what had to be assumed."""
-    groups: dict[tuple[str, str, str], list[str]] = {}
+    groups: dict[tuple[ClosedLoop, str, str], list[str]] = {}
     for name, m in one.verdict.margins.items():
         groups.setdefault((m.stable, m.stability_reason, band(m.stability_band_hz)), []).append(name)
-    order = {"unstable": 0, "undecided": 1, "stable": 2}
     rows: list[list[Cell | Content]] = [
-        [Cell(badge(OUTCOME_OF[stable], stable)), reason or DASH, measure or DASH, len(names), ", ".join(names)]
-        for (stable, reason, measure), names in sorted(groups.items(), key=lambda group: order[group[0][0]])
+        [Cell(badge(stable.outcome, stable)), reason or DASH, measure or DASH, len(names), ", ".join(names)]
+        for (stable, reason, measure), names in sorted(groups.items(), key=lambda group: -group[0][0].severity)
     ]
     caption = (
         f"Closed loop {one.verdict.loop}: encirclements of −1 counted on the measured FRF, with the contour closed."

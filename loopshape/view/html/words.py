@@ -7,17 +7,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, isinf, isnan
 
-from loopshape.data.requirement.requirements import LIMIT_OF, Limit
-from loopshape.data.result.verdict import RequirementResult
-from loopshape.data.result.verdict_words import WORDS as OUTCOME_WORDS
+from loopshape.core.outcomes import Outcome
+from loopshape.data.requirement.requirements import Limit
+from loopshape.data.result.verdict_words import Notation
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.labels import split_unit
 
 DASH = "\N{EN DASH}"
 #: outcome -> its word
-WORDS = {**OUTCOME_WORDS, "none": "no verdict"}
-#: closed loop -> the outcome whose sign and colour it takes
-OUTCOME_OF = {"stable": "passed", "unstable": "failed", "undecided": "undecided"}
+WORDS = {one.value: one.word for one in Outcome} | {"none": "no verdict"}
 _SIGNS = {
     "passed": "M4.5 10.5l3.6 3.8 7.4-8.4",
     "failed": "M5.5 5.5l9 9m0-9l-9 9",
@@ -43,51 +41,11 @@ def interval(found: tuple[float, float] | None, factor: float = 1.0) -> str:
 
 def shown_unit(limit: Limit) -> tuple[str, float]:
     """Unit that a quantity is shown in, and the factor to it: delays in ms, plain numbers without a unit."""
-    return ("ms", 1e3) if limit.unit == "s" else ("" if limit.unit == "1" else limit.unit, 1.0)
+    return TYPESET.units.get(limit.unit, (limit.unit, 1.0))
 
 
-def with_unit(value: float | None, limit: Limit) -> str:
-    """A quantity with its unit."""
-    unit, factor = shown_unit(limit)
-    return f"{number(None if value is None else factor * value)} {unit}".rstrip()
-
-
-def with_reach(line: RequirementResult) -> str:
-    """A line's 95 % interval with its unit, empty without one."""
-    unit, factor = shown_unit(LIMIT_OF[line.quantity])
-    bound = "" if line.bound is None else " (bound)"
-    return "" if line.span is None else f"{interval(line.span, factor)} {unit}".rstrip() + bound
-
-
-def found_text(line: RequirementResult) -> str:
-    """The number found, with its sign where it is a bound."""
-    sign = "> " if line.beyond else "" if line.bound is None else "≥ " if line.bound > line.value else "≤ "
-    return sign + with_unit(line.value, LIMIT_OF[line.quantity])
-
-
-def slack(line: RequirementResult) -> str:
-    """Room left, `≈ 0` where it is within rounding of what is required."""
-    if abs(line.slack) < 1e-4 * abs(line.required):
-        return "≈ 0"
-    return with_unit(line.slack, LIMIT_OF[line.quantity])
-
-
-def required(line: RequirementResult) -> str:
-    """What a line asks for: at least, or at most."""
-    limit = LIMIT_OF[line.quantity]
-    return f"{'≥' if limit.sense == 'at_least' else '≤'} {with_unit(line.required, limit)}"
-
-
-def longer(line: RequirementResult) -> str:
-    """How much more measuring would decide a line, empty for one that is decided."""
-    if line.outcome != "undecided":
-        return ""
-    if line.bound is not None:
-        to_hz = "higher" if line.measure_to_hz is None else f"up to {number(line.measure_to_hz, 3)} Hz"
-        return f"bounded by what lies above the last frequency: measure {to_hz}"
-    if line.longer is None or not isfinite(line.longer) or line.longer >= 100.0:
-        return "on the limit: more data would not decide it"
-    return f"{line.longer:.2g} times the data would decide it, if the estimate stays"
+#: how the report writes a verdict's table
+TYPESET = Notation(number, DASH, " … ", ("≥", "≤"), ("≥ ", "≤ "), {"s": ("ms", 1e3), "1": ("", 1.0)})
 
 
 def point(operating_point: Mapping[str, float], parameters: Mapping[str, float] | None = None) -> str:

@@ -20,8 +20,8 @@ from loopshape.data.control.block import BLOCK_KINDS, Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop, known_above, reach_above
 from loopshape.data.requirement.limits_over import MASKED, AtPoints
-from loopshape.data.requirement.objective import Objective
 from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.requirement.weight import Objective
 from loopshape.data.response import smoothed as dense
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
@@ -32,14 +32,13 @@ from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.identify.smooth.smoothing import Recipe, recipe_of
 from loopshape.loop import detuning, shifted
-from loopshape.loop.loops import loops_of
 from loopshape.loop.margin import between, margins
 from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
 from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
-from loopshape.loop.verdict import outside_warnings
+from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 
 #: limits that the page does not judge: it knows no disturbance and no weights

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 from loopshape.core.units import db, deg
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Margins, Requirements
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import margins_of, worst_of
 from loopshape.view.key import Entry, place_notes
@@ -79,7 +80,7 @@ def _measured(top: Axes, side: Axes, loop: Loop, name: str) -> None:
 
 def _margins(panels: dict[str, Axes], loop: Loop, margins: Margins) -> None:
     """Margins as bars, bandwidth and peaks as dots with their intervals; in words above each panel."""
-    gain_hz, turn_hz = margins.at_hz.get("gain_margin_db"), margins.at_hz.get("phase_margin_deg")
+    gain_hz, turn_hz = margins["gain_margin_db"].at_hz, margins["phase_margin_deg"].at_hz
     if gain_hz and np.isfinite(margins.gain_margin_db):
         _bar(panels["L"], gain_hz, -margins.gain_margin_db, 0.0, "gain margin")
     if turn_hz is not None and np.isfinite(margins.phase_margin_deg):
@@ -108,7 +109,7 @@ def _bandwidth(ax: Axes, margins: Margins) -> None:
     value = margins.bandwidth_hz
     if not np.isfinite(value) or value <= 0.0:
         return
-    low, high = margins.intervals.get("bandwidth_hz", (value, value))
+    low, high = margins["bandwidth_hz"].ends
     low, high = max(low, 1e-3 * value), min(high, 1e3 * value)
     limits = ax.get_xlim()
     bar = ax.errorbar([value], [0.0], xerr=[[value - low], [high - value]], fmt="o", **_MARK)
@@ -117,11 +118,11 @@ def _bandwidth(ax: Axes, margins: Margins) -> None:
 
 
 def _peak(ax: Axes, margins: Margins, quantity: str) -> None:
-    value, at_hz = getattr(margins, quantity), margins.at_hz.get(quantity)
+    value, at_hz = margins[quantity].value, margins[quantity].at_hz
     left_hz, right_hz = ax.get_xlim()
     if not at_hz or not np.isfinite(value) or not left_hz <= at_hz <= right_hz:  # it has no place on the axis
         return
-    low, high = margins.intervals.get(quantity, (value, value))
+    low, high = margins[quantity].ends
     limits = ax.get_ylim()
     bar = ax.errorbar([at_hz], [value], yerr=[[value - low], [high - value]], fmt="o", **_MARK)
     bar.lines[0].set_gid("peak")

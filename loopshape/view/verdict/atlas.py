@@ -15,9 +15,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator
 
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, db
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import LIMIT_OF, Margins, Requirements
+from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.loop.points import margins_of, point_outcome, worst_of
 from loopshape.view.key import key_of, varying
@@ -99,12 +101,13 @@ def _row(loop: Loop, k: int, required: Requirements | None, verdict: Verdict | N
     margins, limit = margins_of(loop, k, verdict), None if required is None else closest_db(required)
     name = loop.plant.recording or f"frf {k + 1}"
     peak, at_hz, interval = float(size.max()), float(f[np.argmax(size)]), None
-    outcome = "passed" if limit is None or peak <= limit else "failed"
+    outcome = Outcome.PASSED if limit is None or peak <= limit else Outcome.FAILED
     if margins is not None:
-        peak, at_hz = margins.sensitivity_peak_db, max(margins.at_hz.get("sensitivity_peak_db", at_hz), float(f[0]))
-        interval = margins.intervals.get("sensitivity_peak_db")
-        outcome = "passed" if limit is None else point_outcome(margins, "sensitivity_peak_db", limit)
-    stable = "stable" if margins is None else margins.stable
+        read = margins["sensitivity_peak_db"]
+        peak, at_hz = read.value, max(at_hz if read.at_hz is None else read.at_hz, float(f[0]))
+        interval = read.interval
+        outcome = Outcome.PASSED if limit is None else point_outcome(margins, "sensitivity_peak_db", limit)
+    stable = ClosedLoop.STABLE if margins is None else margins.stable
     return Row(name, f, size, peak, at_hz, interval, with_stability(outcome, margins), stable)
 
 
@@ -271,7 +274,7 @@ def _point_map(loops: Sequence[Loop], verdict: Verdict, line: RequirementResult,
     known = [(loop, m) for loop, m in found if m is not None]
     xs, ys = (sorted({loop.plant.operating_point[key] for loop in loops}) for key in keys)
     sign = 1.0 if LIMIT_OF[line.quantity].sense == "at_least" else -1.0
-    slack = np.array([sign * (getattr(m, line.quantity) - line.required) for _, m in known])
+    slack = np.array([sign * (m[line.quantity].value - line.required) for _, m in known])
     largest = float(np.max(np.abs(slack[np.isfinite(slack)]), initial=1e-12))
     for (loop, margins), room in zip(known, slack, strict=True):
         place = tuple(loop.plant.operating_point[key] for key in keys)
@@ -296,7 +299,7 @@ def _cell(ax: Axes, at: tuple[int, int], margins: Margins, line: RequirementResu
     look: dict[str, Any] = {"facecolor": colour, "edgecolor": edge, "linewidth": 0.4, "hatch": _HATCHES[outcome]}
     with mpl.rc_context({"hatch.linewidth": 0.5}):
         ax.add_patch(Rectangle((at[0] - 0.5, at[1] - 0.5), 1.0, 1.0, gid=outcome, in_layout=False, **look))
-    value = getattr(margins, line.quantity)
+    value = margins[line.quantity].value
     text = "unst." if margins.stable == "unstable" else number3(value)
     box = None if _HATCHES[outcome] is None else {"facecolor": colour, "edgecolor": "none", "pad": 0.6}
     place: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6.5, "in_layout": False}

@@ -12,7 +12,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import Mask
-from loopshape.data.requirement.requirements import LIMIT_OF, Margins, Requirements
+from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import NEAREST, Worst, band, margins_of
 from loopshape.view.key import Entry, Key, count, curve, varying
@@ -56,7 +57,7 @@ def worst_text(loops: Sequence[Loop], worst: Worst, verdict: Verdict | None) -> 
     loop = loops[worst.index]
     margins = margins_of(loop, worst.index, verdict)
     least = float(np.min(np.abs(1.0 + loop.L))) if margins is None else margins.modulus_margin
-    ends = None if margins is None else margins.intervals.get("modulus_margin")
+    ends = None if margins is None else margins["modulus_margin"].interval
     between = "" if ends is None else f" (95 %: {number3(ends[0])} to {number3(ends[1])})"
     size, at_hz = f"least |1 + L| = {number3(least)}{between}", f"at {worst.at_hz:.3g} Hz"
     what = f"{size} {at_hz}" if worst.why == NEAREST else f"{worst.why} {at_hz}; {size}"
@@ -74,11 +75,12 @@ def with_interval(margins: Margins, quantity: str, last_hz: float = np.inf) -> s
     """A margin in words: value, unit, 95 % interval and frequency; "above" the last line where it may lie beyond."""
     limit = LIMIT_OF[quantity]
     unit = "" if limit.unit == "1" else f" {limit.unit}"
-    ends, at_hz = margins.intervals.get(quantity), margins.at_hz.get(quantity)
+    read = margins[quantity]
+    ends, at_hz = read.interval, read.at_hz
     places = {"dB": 2, "deg": 1}.get(limit.unit)
     between = "" if ends is None else f" (95 %: {number3(ends[0], places)} to {number3(ends[1], places)})"
     at = "" if at_hz is None else f" {'above' if at_hz >= last_hz else 'at'} {at_hz:.3g} Hz"
-    return f"{number3(getattr(margins, quantity), places)}{unit}{between}{at}"
+    return f"{number3(read.value, places)}{unit}{between}{at}"
 
 
 def number3(value: float, places: int | None = None) -> str:

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
 from loopshape.data.control.loop import Loop, characteristic_loci
-from loopshape.data.requirement.requirements import Margins, Requirements
-from loopshape.data.result.verdict import SeveralMargins
+from loopshape.data.requirement.requirements import SeveralRequirements
+from loopshape.data.result.margins import Margins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.loop.matrix.several_margins import gauge_matrix
 from loopshape.loop.matrix.structured import mu_bounds
@@ -90,7 +90,7 @@ def singular_values(loops: Loop, name: str, limit_db: float | None, *, scaled: b
 
 
 @styled()
-def disk_margins(loops: Loop, found: SeveralMargins, required: float | None, *, ax: Axes | None = None) -> Axes:
+def disk_margins(loops: Loop, found: Margins, required: float | None, *, ax: Axes | None = None) -> Axes:
     """The disk margin that each frequency leaves: all loops at once, and each loop alone with the others closed."""
     ax = axes_or_new(ax, (3.5, 2.6))
     f = loops.frequency_hz
@@ -98,9 +98,9 @@ def disk_margins(loops: Loop, found: SeveralMargins, required: float | None, *, 
         ax.plot(f, one, color=COLOURS[(k + 1) % len(COLOURS)], linewidth=0.9, gid=loops.names[k])
     together = 1.0 / mu_bounds(gauge_matrix("disk", loops.P, loops.c)).upper
     ax.plot(f, together, color="black", linewidth=1.4, gid="together")
-    interval = found.intervals.get("disk_margin", (found.disk_margin,) * 2)
-    reach = np.abs(np.array(interval)[:, None] - found.disk_margin)
-    ax.errorbar([found.at_hz["disk_margin"]], [found.disk_margin], yerr=reach, fmt="o", color="black", markersize=3.5)
+    read = found["disk_margin"]
+    reach = np.abs(np.array(read.ends)[:, None] - read.value)
+    ax.errorbar([read.at_hz or np.nan], [read.value], yerr=reach, fmt="o", color="black", markersize=3.5)
     if required is not None:
         ax.axhline(required, color=LIMIT, linewidth=1.1, gid="limit")
     frequency_axis(ax, float(f[0]), float(f[-1]))
@@ -122,17 +122,15 @@ def _one_at_a_time(loops: Loop) -> list[Array]:
 
 
 @styled()
-def summary(
-    each: Mapping[str, Margins], found: SeveralMargins, required: float | None, *, ax: Axes | None = None
-) -> Axes:
+def summary(each: Mapping[str, Margins], found: Margins, required: float | None, *, ax: Axes | None = None) -> Axes:
     """Disk margins with their 95 % intervals: each loop with the others closed, all at once, both ends at once."""
     ax = axes_or_new(ax, (3.5, 2.6))
     rows: list[tuple[str, float, tuple[float, float] | None, str]] = [
-        (symbol(name), m.disk_margin, m.intervals.get("disk_margin"), COLOURS[(k + 1) % len(COLOURS)])
+        (symbol(name), m.disk_margin, m["disk_margin"].interval, COLOURS[(k + 1) % len(COLOURS)])
         for k, (name, m) in enumerate(each.items())
     ]
-    rows.append(("all at once", found.disk_margin, found.intervals.get("disk_margin"), "black"))
-    both = found.intervals.get("input_output_disk_margin")
+    rows.append(("all at once", found.disk_margin, found["disk_margin"].interval, "black"))
+    both = found["input_output_disk_margin"].interval
     rows.append(("in and out", found.input_output_disk_margin, both, QUIET))
     for k, (_, value, interval, colour) in enumerate(rows):
         low, high = interval or (value, value)
@@ -149,10 +147,10 @@ def summary(
 
 @styled()
 def several_page(
-    loops: Loop, found: SeveralMargins, each: Mapping[str, Margins], required: Requirements | None = None
+    loops: Loop, found: Margins, each: Mapping[str, Margins], required: SeveralRequirements | None = None
 ) -> Figure:
     """All loops of one operating point: loci and det(I + L) above, S and T with limits, disk margins below."""
-    required = required or Requirements()
+    required = required or SeveralRequirements()
     figure = new_figure(3, 2, (FULL_WIDTH_IN, 8.6))
     a, b, c, d, e, f = figure.axes
     scaled = bool(np.isnan(found.sensitivity_peak_db))
@@ -170,14 +168,14 @@ def several_page(
     return figure
 
 
-def _title(loops: Loop, found: SeveralMargins) -> str:
+def _title(loops: Loop, found: Margins) -> str:
     names = ", ".join(symbol(name) for name in loops.names)
     parts = ("Several loops at once", f"{names}: {found.stable}", loops.plant.recording)
     return "  ·  ".join(part for part in parts if part)
 
 
-def _details(found: SeveralMargins) -> str:
-    low, high = found.intervals.get("disk_margin", (found.disk_margin,) * 2)
+def _details(found: Margins) -> str:
+    low, high = found["disk_margin"].ends
     text = f"disk margin {found.disk_margin:.3g} ({low:.3g} to {high:.3g}, 95 %) at"
     text = f"{text} {found.at_hz['disk_margin']:.3g} Hz, all loops at once"
     return f"{text}; {found.stability_reason}"

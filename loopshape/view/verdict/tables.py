@@ -3,40 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import inf, isfinite
 from typing import TYPE_CHECKING, Any
 
 from loopshape.data.result.verdict_words import (
-    WORDS,
-    interval_or_bound_text,
     interval_text,
-    line_change_words,
-    longer_text,
-    number_of,
-    reach_text,
-    stability_of,
+    row_of,
     unstable_text,
+    verdict_rows,
 )
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.requirement.profile import Profile
-    from loopshape.data.result.baseline import Comparison
-    from loopshape.data.result.verdict import RequirementResult, Verdict
+    from loopshape.data.result.baseline import Comparison, LineChange, MarginChange
+    from loopshape.data.result.detuning import Reach
+    from loopshape.data.result.verdict import Verdict
 
 Table = tuple[str, Sequence[str], list[list[Any]]]
 
 
 def verdict_tables(verdict: Verdict, *, margins: bool = True) -> Iterator[Table]:
     """Requirement lines, and the margins of each operating point."""
-    stable, at, word = stability_of(verdict)
-    rows: list[list[Any]] = [["closed loop", "-", "stable", stable, "-", "-", at, "-", word]] if verdict.margins else []
-    for line in verdict.lines:
-        numbers = [_cell(line, line.required), _worst(line), interval_or_bound_text(line), _cell(line, line.slack)]
-        word = WORDS[line.outcome] + longer_text(line)
-        rows.append([line.quantity, line.unit, *numbers, line.recording, line.at_hz, word])
+    rows: list[list[Any]] = [
+        [x.quantity, x.unit, x.required, x.worst, x.interval, x.slack, x.recording, x.at_hz, x.verdict]
+        for x in verdict_rows(verdict)
+    ]
     columns = ["requirement", "unit", "required", "worst case", "95 % interval", "slack", "at", "at [Hz]", "verdict"]
-    yield f"Loop {verdict.loop}: {WORDS[verdict.outcome]}", columns, rows
+    yield f"Loop {verdict.loop}: {verdict.outcome.word}", columns, rows
     if margins:
         yield margins_table(verdict)
         yield from _detunings(verdict)
@@ -58,15 +51,6 @@ def zone_sentence(verdict: Verdict, profile: Profile) -> str:
     worst = max(m.sensitivity_peak_db for m in verdict.margins.values())
     rest = ", ".join(f"{name} {100.0 * p:.1f} %" for name, p in shares.items() if p >= 5e-4)
     return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."
-
-
-def _worst(line: RequirementResult) -> object:
-    return f"> {line.value:g}" if line.beyond else _cell(line, line.value)
-
-
-def _cell(line: RequirementResult, value: float) -> object:
-    """A number as a table rounds it, an error's as it is: its unit is as large as it likes."""
-    return number_of(line, value) if line.quantity == "error_rms" else value
 
 
 def margins_table(verdict: Verdict, *, details: bool = True) -> Table:
@@ -92,8 +76,8 @@ def _several(verdict: Verdict) -> Table:
         numbers = [m.gain_margin_db, m.phase_margin_deg, m.input_output_disk_margin, m.modulus_margin]
         peaks = [x if x == x else None for x in (m.sensitivity_peak_db, m.complementary_peak_db)]
         lost = (f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items())
-        interval = interval_text(m.intervals.get("disk_margin"))
-        disk = [m.disk_margin, interval, *numbers, *peaks, m.at_hz["disk_margin"]]
+        interval = interval_text(m["disk_margin"].interval)
+        disk = [m.disk_margin, interval, *numbers, *peaks, m["disk_margin"].at_hz]
         rows.append([recording, m.stable, *disk, ", ".join(lost)])
     columns = ["recordings", "closed loops", "disk margin", "95 % interval", "GM [dB]", "PM [deg]", "in and out"]
     return "All loops at once", [*columns, "modulus", "S [dB]", "T [dB]", "at [Hz]", "lost by"], rows
@@ -114,11 +98,11 @@ def _all_margins(verdict: Verdict) -> Table:
 
 def phase_budget_tables(verdict: Verdict, controller: Controller) -> Iterator[Table]:
     """What each block costs in degrees where the phase margin is least; nothing where no |L| crosses 0 dB."""
-    seen = {name: m for name, m in verdict.margins.items() if isfinite(m.at_hz.get("phase_margin_deg", inf))}
+    seen = {name: m for name, m in verdict.margins.items() if m["phase_margin_deg"].at_hz is not None}
     if not seen or controller.loop != verdict.loop:
         return
     worst = min(seen, key=lambda name: seen[name].phase_margin_deg)
-    at_hz = seen[worst].at_hz["phase_margin_deg"]
+    at_hz = seen[worst]["phase_margin_deg"].at_hz or 0.0
     rows: list[list[Any]] = [[k, *part] for k, part in enumerate(controller.phase_budget(at_hz), start=1)]
     title = f"Phase budget of loop {verdict.loop} at {at_hz:.4g} Hz, where the phase margin of {worst} is read"
     yield title, ["", "block", "phase [deg]", "magnitude [dB]"], rows
@@ -158,3 +142,39 @@ def _moved(change: Any, points: int) -> list[Any]:
     return [
         change.quantity, change.loop, change.unit, *numbers, interval, change.recording, points, change.outcome,
     ]  # fmt: skip
+
+
+def comparison_text(title: str, comparison: Comparison) -> str:
+    """In lines: outcomes that changed, margins that did, what came or went, what differs underneath."""
+    lines = []
+    for x in comparison.lines:
+        was, required, now, wishes = line_change_words(x)
+        lines.append(f"{x.quantity} of loop {x.loop}: {was} ({required}) to {now} ({wishes})")
+    lines += [f"loop {s.loop} in {s.recording}: {s.before} to {s.now}: {s.reason}" for s in comparison.stabilities]
+    lines += [change_text(change, points) for change, points in comparison.largest()]
+    return "\n".join([f"{title}: {comparison.counts}", *(f"  {line}" for line in (*lines, *comparison.remarks))])
+
+
+def change_text(change: MarginChange, points: int = 1) -> str:
+    """A margin's change in one sentence; `points` is at how many operating points it is so."""
+    unit = "" if change.unit == "1" else f" {change.unit}"
+    interval = "" if change.interval is None else f" ({interval_text(change.interval)}{unit})"
+    others = f" and {points - 1} more" if points > 1 else ""
+    return (
+        f"{change.quantity} of loop {change.loop} is {change.outcome} by {abs(change.change):.4g}{unit}{interval}:"
+        f" {change.before:.4g} to {change.now:.4g}{unit} in {change.recording}{others}"
+    )
+
+
+def line_change_words(change: LineChange) -> tuple[str, str, str, str]:
+    """Outcome and limit before, and now."""
+    before, now = (
+        ("not required", "-") if one is None else (one.outcome.word, row_of(one).asked)
+        for one in (change.before, change.now)
+    )
+    return (*before, *now)
+
+
+def reach_text(reach: Reach) -> str:
+    """How far frequencies may move one way, and what breaks there: "1.2 % (phase_margin_deg)", "> 20 %"."""
+    return f"> {reach.percent:.4g} %" if reach.beyond else f"{reach.percent:.3g} % ({reach.breaks})"

@@ -11,10 +11,11 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array
-from loopshape.data.requirement.requirements import LIMIT_OF, Margins
+from loopshape.data.requirement.requirements import LIMIT_OF
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import WORDS
 from loopshape.loop.points import point_outcome
 from loopshape.view.key import Entry
 from loopshape.view.labels import bracket, number, symbol
@@ -35,10 +36,9 @@ def mark_entries(outcomes: set[str]) -> list[Entry]:
     return [(name, {"linestyle": "none", **look}) for name, look in MARKS.items() if name in outcomes]
 
 
-def with_stability(outcome: str, margins: Margins | None) -> str:
+def with_stability(outcome: Outcome, margins: Margins | None) -> Outcome:
     """A requirement's outcome at a point; where the loop is unstable or undecided, that."""
-    stable = "stable" if margins is None else margins.stable
-    return {"unstable": "failed", "undecided": "undecided" if outcome == "passed" else outcome}.get(stable, outcome)
+    return Outcome.worst([outcome] if margins is None else [outcome, margins.stable.outcome])
 
 
 def room_colours(steps: int) -> list[str]:
@@ -90,8 +90,9 @@ def margin(verdict: Verdict, line: RequirementResult, *, ax: Axes | None = None)
     """
     ax = axes_or_new(ax, (FULL_WIDTH_IN, 2.0))
     names, limit = list(verdict.margins), LIMIT_OF[line.quantity]
-    found = np.array([getattr(verdict.margins[name], line.quantity) for name in names])
-    ends = np.array([_interval(verdict.margins[name], line.quantity) for name in names])
+    read = [m[line.quantity] for m in verdict.margins.values()]
+    found = np.array([one.value for one in read])
+    ends = np.array([one.ends for one in read])
     low, high = _span(found, ends, line.required)
     _points(ax, verdict, line, found, np.clip(ends, low, high))
     edge = np.where(found == np.inf, high, low)
@@ -105,14 +106,9 @@ def margin(verdict: Verdict, line: RequirementResult, *, ax: Axes | None = None)
     ax.set_xticks(np.arange(len(names)), names, rotation=90.0)
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     required = f"{limit.label}, {limit.sense.replace('_', ' ')} {number(line.required)}{unit}"
-    ax.set_title(f"{required}: {WORDS[line.outcome]}", loc="left", fontsize=8.0, pad=2.5)
+    ax.set_title(f"{required}: {line.outcome.word}", loc="left", fontsize=8.0, pad=2.5)
     ax.set_ylabel(bracket(limit.unit).strip() or "[1]")
     return ax
-
-
-def _interval(margins: Margins, quantity: str) -> tuple[float, float]:
-    value = getattr(margins, quantity)
-    return margins.intervals.get(quantity, (value, value))
 
 
 def _points(ax: Axes, verdict: Verdict, line: RequirementResult, found: Array, ends: Array) -> None:
@@ -132,7 +128,7 @@ def _points(ax: Axes, verdict: Verdict, line: RequirementResult, found: Array, e
 
 
 def _only_undecided(verdict: Verdict) -> bool:
-    return all(verdict.margins[name].stable == "undecided" for name in verdict.unstable)
+    return all(verdict.margins[name].stable is ClosedLoop.UNDECIDED for name in verdict.unstable)
 
 
 def _span(found: Array, ends: Array, required: float) -> tuple[float, float]:
@@ -163,7 +159,7 @@ def margins_map(verdict: Verdict) -> Figure:
     handles = [Line2D([], [], **look) for _, look in entries]
     style: dict[str, Any] = {"loc": "outside lower center", "ncols": len(entries), "borderaxespad": 0.2}
     figure.legend(handles, [text for text, _ in entries], **style)
-    head(figure, f"Verdict  ·  loop {symbol(verdict.loop)}: {WORDS[verdict.outcome]}", *_unstable(verdict))
+    head(figure, f"Verdict  ·  loop {symbol(verdict.loop)}: {verdict.outcome.word}", *_unstable(verdict))
     return figure
 
 

@@ -10,7 +10,7 @@ from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear
 from loopshape.design.starts import glanced
-from loopshape.loop.margin.reading import Reader
+from loopshape.loop.margin.margins import Reader
 
 F = np.geomspace(0.1, 100.0, 60)
 P = 5.0 / (1j * F * (1.0 + 0.1j * F))

@@ -33,10 +33,8 @@ def loops(*gains: float) -> list[Loop]:
 
 def margins(modulus: float, low: float | None = None, stable: str = "stable", at_hz: float = 5.0) -> ls.Margins:
     numbers = {limit.name: 1.0 for limit in LIMITS} | {"modulus_margin": modulus}
-    return ls.Margins(
-        **numbers, crossings_hz=(), phase_crossings_hz=(), at_hz={"modulus_margin": at_hz}, stable=stable,
-        stability_reason="", intervals={} if low is None else {"modulus_margin": (low, 2.0 * modulus - low)},
-    )  # fmt: skip
+    intervals = {} if low is None else {"modulus_margin": (low, 2.0 * modulus - low)}
+    return ls.Margins.of(numbers, stable, at_hz={"modulus_margin": at_hz}, intervals=intervals)
 
 
 def verdict(*found: ls.Margins, lines: tuple[RequirementResult, ...] = ()) -> ls.Verdict:
@@ -66,7 +64,8 @@ def test_the_outcome_of_the_verdicts_point_is_the_lines_outcome() -> None:
     ("interval", "outcome"), [((0.5, 0.6), "passed"), ((0.49, 0.6), "undecided"), ((0.4, 0.49), "failed")]
 )
 def test_an_interval_must_lie_on_one_side(interval: tuple[float, float], outcome: str) -> None:
-    point = replace(margins(0.5), intervals={"modulus_margin": interval, "sensitivity_peak_db": interval})
+    names = ("modulus_margin", "sensitivity_peak_db")
+    point = ls.Margins.of(dict.fromkeys(names, 0.5), "stable", intervals=dict.fromkeys(names, interval))
     assert point_outcome(point, "modulus_margin", 0.5) == outcome
     other = {"passed": "undecided", "undecided": "undecided", "failed": "passed"}[outcome]
     assert point_outcome(point, "sensitivity_peak_db", 0.5) == other

@@ -26,10 +26,10 @@ from typer.testing import CliRunner
 
 import loopshape as ls
 from loopshape.cli.verify.report import report
-from loopshape.data.result.verdict_words import interval_or_bound_text
+from loopshape.data.result.verdict_words import row_of
 from loopshape.view.html.markup import VOID, Markup, json_block, tag
 from loopshape.view.html.page import page
-from loopshape.view.html.words import with_reach
+from loopshape.view.html.words import TYPESET
 
 DATE = "2025-03-04 05:06:07+01:00"
 BROWSER = next((p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None)
@@ -164,10 +164,10 @@ def test_ends_of_a_bound_read_the_same_in_check_and_report() -> None:
         "control_high_frequency_db", "dB", 60.0, 59.98, 0.0, "undecided", "a", 90.0, (59.97, 60.0), bound=59.69
     )
     least = RequirementResult("gain_margin_db", "dB", 6.0, 10.8, 4.7, "passed", "a", 90.0, (10.7, 10.9), bound=14.0)
-    assert interval_or_bound_text(bound) == "59.69 .. 60 (bound)"
-    assert interval_or_bound_text(least) == "10.7 .. 14 (bound)"
-    assert with_reach(bound) == "59.69 … 60 dB (bound)"
-    assert with_reach(least) == "10.7 … 14 dB (bound)"
+    assert [row_of(one).interval for one in (bound, least)] == ["59.69 .. 60 (bound)", "10.7 .. 14 (bound)"]
+    typeset = [row_of(one, TYPESET) for one in (bound, least)]
+    assert [row.interval for row in typeset] == ["59.69 … 60 (bound)", "10.7 … 14 (bound)"]
+    assert [row.worst for row in typeset] == ["≤ 59.98", "≥ 10.8"]
 
 
 def test_the_detuning_table_names_limits_as_the_other_tables_do(run: Path, tmp_path: Path) -> None:

@@ -5,6 +5,10 @@ from dataclasses import replace
 from bench_nouns import LIMITS, Block, Checked, RequirementResult
 
 import loopshape as ls
+from loopshape.view.verdict import junit, markdown
+
+summary = markdown.markdown
+
 
 CONTROLLER = ls.Controller("axis", (Block("gain", {"gain": 2.0}),), 1000.0)
 OTHER = replace(CONTROLLER, blocks=(Block("gain", {"gain": 1 / 3}),))
@@ -13,10 +17,15 @@ VALUES = {limit.name: 10.0 + k for k, limit in enumerate(LIMITS)}
 
 def margins(values=None, intervals=None, stable="stable", reason="", band_hz=None):
     """Margins with `values` in place of 10, 11, ... in the order of LIMITS."""
-    return ls.Margins(
-        **VALUES | (values or {}), crossings_hz=(3.0,), phase_crossings_hz=(), at_hz={"modulus_margin": 3.0},
-        stable=stable, stability_reason=reason, intervals=intervals or {}, stability_band_hz=band_hz,
+    return ls.Margins.of(
+        VALUES | (values or {}), stable, intervals=intervals or {}, at_hz={"modulus_margin": 3.0}, crossings_hz=(3.0,),
+        stability_reason=reason, stability_band_hz=band_hz,
     )  # fmt: skip
+
+
+def write_junit(path, *found, **words):
+    """Verdicts as JUnit XML in a file."""
+    path.write_text(junit.junit(*found, **words))
 
 
 def around(values, half):

@@ -119,23 +119,19 @@ def loops() -> list[Loop]:
 
 def margins(k: int = 0, stable: str = "stable") -> ls.Margins:
     """Margins as `check` would give them; the numbers are made up."""
-    return ls.Margins(
-        gain_margin_db=8.0 + 4.0 * np.sin(k),
-        gain_reduction_margin_db=float("inf"),
-        phase_margin_deg=40.0 + 9.0 * np.cos(1.7 * k),
-        modulus_margin=0.55,
-        delay_margin_s=0.05,
-        sensitivity_peak_db=5.0 + 1.5 * np.sin(2.0 * k),
-        complementary_peak_db=3.0,
-        control_peak_db=26.0,
-        control_high_frequency_db=-3.0,
-        bandwidth_hz=1.1 + 0.08 * k,
-        crossings_hz=(1.1 + 0.08 * k,),
-        phase_crossings_hz=(9.0,),
-        at_hz={},
-        stable=stable,
-        stability_reason="",
-    )
+    values = {
+        "gain_margin_db": 8.0 + 4.0 * np.sin(k),
+        "gain_reduction_margin_db": float("inf"),
+        "phase_margin_deg": 40.0 + 9.0 * np.cos(1.7 * k),
+        "modulus_margin": 0.55,
+        "delay_margin_s": 0.05,
+        "sensitivity_peak_db": 5.0 + 1.5 * np.sin(2.0 * k),
+        "complementary_peak_db": 3.0,
+        "control_peak_db": 26.0,
+        "control_high_frequency_db": -3.0,
+        "bandwidth_hz": 1.1 + 0.08 * k,
+    }
+    return ls.Margins.of(values, stable, crossings_hz=(1.1 + 0.08 * k,), phase_crossings_hz=(9.0,))
 
 
 def verdict() -> ls.Verdict:

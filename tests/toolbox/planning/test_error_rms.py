@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 import loopshape as ls
-from loopshape.data.result.verdict_words import found_text, wished_text
+from loopshape.data.result.verdict_words import row_of
 from loopshape.identify.disturbance import powers
 
 RATE, N = 200.0, 8192
@@ -168,8 +168,8 @@ def test_small_units_are_shown_as_they_are():
         disturbance=ls.Disturbance.from_spectrum(f, np.full(f.size, 1e-18)),
     )  # fmt: skip
     (line,) = verdict.lines
-    assert 1e-9 < float(found_text(line).split(" ")[0]) < 1e-7
-    assert wished_text(line) == "at most 1e-07"
+    assert 1e-9 < float(row_of(line).worst) < 1e-7
+    assert row_of(line).asked == "at most 1e-07"
 
 
 #: a disturbance about the peak of |S|, which a larger gain raises

@@ -31,7 +31,7 @@ def learning(
 
     Exit code 1 where trials do not converge, or the FRF's error leaves it undecided.
     """
-    from loopshape.data.result.verdict import Outcome
+    from loopshape.core.outcomes import Outcome
     from loopshape.io.write.check_files import controller_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.toolbox.learning.files import write_learning

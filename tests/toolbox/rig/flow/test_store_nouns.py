@@ -32,11 +32,11 @@ from run_files import (
     write_json,
     write_toml,
 )
+from verdict_cases import write_junit
 
 import loopshape as ls
 from loopshape import __version__
 from loopshape.io.write.frfs import frf_csv
-from loopshape.io.write.junit import write_junit
 from loopshape.toolbox.rig.files.study import read_study
 
 
@@ -163,7 +163,7 @@ def test_fits(tmp_path):
 
 
 def margins(stable):
-    return ls.Margins(*[1.0] * 10, (1.0,), (), {}, stable, "one encirclement < & \x07")
+    return ls.Margins.of({"gain_margin_db": 1.0}, stable, stability_reason="one encirclement < & \x07")
 
 
 def test_junit(tmp_path):

@@ -4,44 +4,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 
-from loopshape.data.requirement.requirements import LIMITS, Margins
+from loopshape.core.outcomes import ClosedLoop, Outcome
+from loopshape.data.requirement.requirements import LIMITS
 from loopshape.data.result.baseline import Comparison, MarginChange
-from loopshape.data.result.verdict import RequirementResult, Verdict
+from loopshape.data.result.margins import Margins
+from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import (
-    WORDS,
-    interval_or_bound_text,
     interval_text,
-    line_change_words,
-    longer_text,
-    number,
-    number_of,
-    outcome_of,
+    row_of,
     stability_text,
     unstable_text,
-    wished_text,
 )
-from loopshape.io.files import make_folder, write_text_whole
+from loopshape.view.verdict.tables import line_change_words
 
 #: what Markdown or GitHub's reader would take for more than a letter
 _MARKS = re.compile(r"[\\`*\[\]|~$<>]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|^(?:#+|[+-]|\d+[.)])(?= )")
 
 
-def write_markdown(
-    path: Path, verdicts: Sequence[Verdict], comparisons: Mapping[str, Comparison] | None = None
-) -> None:
-    """Write a summary whole: the verdict, each loop's requirements, changes from a baseline, and all margins.
-
-    `comparisons` by their titles. The same verdicts give the same bytes; names are escaped and change no table.
-    """
-    make_folder(path.parent)
-    write_text_whole(path, markdown(verdicts, comparisons))
-
-
 def markdown(verdicts: Sequence[Verdict], comparisons: Mapping[str, Comparison] | None = None) -> str:
-    """The summary's text, GitHub-flavoured."""
-    parts = [f"## loopshape check: {_loud(outcome_of(verdicts))}", *(_counts(verdict) for verdict in verdicts)]
+    """The verdict, each loop's requirements, changes from a baseline by their titles, and all margins, for GitHub.
+
+    The same verdicts give the same text; names are escaped and change no table.
+    """
+    whole = Outcome.worst(verdict.outcome for verdict in verdicts)
+    parts = [f"## loopshape check: {_loud(whole)}", *(_counts(verdict) for verdict in verdicts)]
     for verdict in verdicts:
         parts += _requirements(verdict)
     for title, comparison in (comparisons or {}).items():
@@ -50,13 +37,13 @@ def markdown(verdicts: Sequence[Verdict], comparisons: Mapping[str, Comparison] 
     return "\n\n".join(parts) + "\n"
 
 
-def _loud(outcome: str) -> str:
-    return f"**{WORDS[outcome]}**" if outcome == "failed" else WORDS[outcome]
+def _loud(outcome: Outcome) -> str:
+    return f"**{outcome.word}**" if outcome is Outcome.FAILED else outcome.word
 
 
 def _counts(verdict: Verdict) -> str:
     outcomes = [line.outcome for line in verdict.lines]
-    said = [f"{outcomes.count(word)} {name}" for word, name in (("failed", "missed"), ("undecided", "undecided"))]
+    said = [f"{outcomes.count(Outcome.FAILED)} missed", f"{outcomes.count(Outcome.UNDECIDED)} undecided"]
     points = len(verdict.margins)
     stable = points - len(verdict.unstable)
     return (
@@ -67,16 +54,17 @@ def _counts(verdict: Verdict) -> str:
 
 def _requirements(verdict: Verdict) -> list[str]:
     columns = ["requirement", "required", "worst case", "95 % interval", "slack", "unit", "at", "Hz", "verdict"]
-    parts = [f"### Loop {_escaped(verdict.loop)}", _table(columns, [_row(line) for line in verdict.lines])]
+    rows = [
+        [x.quantity, x.asked, x.worst, x.interval, x.slack, x.unit, x.recording, _hz(x.at_hz), x.verdict]
+        for x in map(row_of, verdict.lines)
+    ]
+    parts = [f"### Loop {_escaped(verdict.loop)}", _table(columns, rows)]
     notes = [*(unstable_text(verdict, name) for name in verdict.unstable), *verdict.warnings]
     return parts + (["\n".join(f"- {_escaped(note)}" for note in notes)] if notes else [])
 
 
-def _row(line: RequirementResult) -> list[str]:
-    found = f"> {number(line.value)}" if line.beyond else number_of(line, line.value)
-    numbers = [found, interval_or_bound_text(line), number_of(line, line.slack), line.unit, line.recording]
-    at = "-" if line.at_hz is None else f"{line.at_hz:.4g}"
-    return [line.quantity, wished_text(line), *numbers, at, WORDS[line.outcome] + longer_text(line)]
+def _hz(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
 
 
 def _comparison(title: str, comparison: Comparison) -> list[str]:
@@ -101,10 +89,10 @@ def _moved(change: MarginChange, points: int) -> list[str]:
 
 
 def _margins(verdict: Verdict) -> str:
-    shown = [limit for limit in LIMITS if any(_is_known(getattr(m, limit.name)) for m in verdict.margins.values())]
+    shown = [limit for limit in LIMITS if any(_is_known(m[limit.name].value) for m in verdict.margins.values())]
     columns = ["operating point", "closed loop", *(f"{limit.label.split(' (')[0]} [{limit.unit}]" for limit in shown)]
     rows = [
-        [name, stability_text(m) if m.stable != "stable" else "stable", *(_margin(m, limit.name) for limit in shown)]
+        [name, m.stable if m.stable is ClosedLoop.STABLE else stability_text(m), *(_margin(m, x.name) for x in shown)]
         for name, m in verdict.margins.items()
     ]
     head = f"<details><summary>Margins of loop {_html(verdict.loop)} at each operating point</summary>"
@@ -112,8 +100,7 @@ def _margins(verdict: Verdict) -> str:
 
 
 def _margin(margins: Margins, name: str) -> str:
-    interval = margins.intervals.get(name)
-    value = getattr(margins, name)
+    value, interval = margins[name].value, margins[name].interval
     shown = f"{value:.4g}" if _is_known(value) else "-"
     return shown if interval is None else f"{shown} ({interval_text(interval)})"
 

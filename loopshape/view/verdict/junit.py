@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
+from loopshape.core.outcomes import Change, Outcome
 from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.result.verdict_words import change_text, line_change_words, line_text, stability_text
-from loopshape.io.files import make_folder, write_text_whole
+from loopshape.data.result.verdict_words import line_text, stability_text
+from loopshape.view.verdict.tables import change_text, line_change_words
 
 #: a failure's type by outcome
-_TYPES = {"failed": "missed", "unstable": "missed", "undecided": "undecided", "worse": "worse"}
+_TYPES = {Outcome.FAILED: "missed", Outcome.UNDECIDED: "undecided"}
 
 
-def write_junit(
-    path: Path, verdicts: Sequence[Verdict], comparison: Comparison | None = None, *, allow_worse: bool = False
-) -> None:
-    """Write one suite a loop: a case for each requirement and for each operating point's stability.
+def junit(verdicts: Sequence[Verdict], comparison: Comparison | None = None, *, allow_worse: bool = False) -> str:
+    """One suite a loop: a case for each requirement and for each operating point's stability.
 
     A case fails where its line does not pass, or where the loop is unstable or undecided; the failure's type is
     "missed" or "undecided". With a comparison there is one more suite, a case for each margin and operating point,
@@ -32,9 +30,7 @@ def write_junit(
     for suite in suites:
         _count(suite)
     ET.indent(suites)
-    text = ET.tostring(suites, encoding="unicode")
-    make_folder(path.parent)
-    write_text_whole(path, f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n')
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ET.tostring(suites, encoding="unicode")}\n'
 
 
 def _add_verdict(suites: ET.Element, verdict: Verdict) -> None:
@@ -43,7 +39,7 @@ def _add_verdict(suites: ET.Element, verdict: Verdict) -> None:
     for line in verdict.lines:
         _add_case(suite, name, line.quantity, line_text(line), _TYPES.get(line.outcome))
     for recording, margins in verdict.margins.items():
-        _add_case(suite, name, f"stability in {recording}", stability_text(margins), _TYPES.get(margins.stable))
+        _add_case(suite, name, f"stability in {recording}", stability_text(margins), _TYPES.get(margins.stable.outcome))
     if verdict.warnings:
         ET.SubElement(suite, "system-out").text = _clean("\n".join(verdict.warnings))
 
@@ -62,7 +58,7 @@ def _add_comparison(suites: ET.Element, comparison: Comparison, allow_worse: boo
     for name in comparison.gone:
         _add_case(suite, "baseline", f"{name} is there", "the baseline has it, this check does not", fails)
     for change in comparison.margins:
-        failure = fails if change.outcome == "worse" else None
+        failure = fails if change.outcome is Change.WORSE else None
         name = f"{change.quantity} in {change.recording}"
         _add_case(suite, f"baseline.{change.loop}", name, change_text(change), failure)
     ET.SubElement(suite, "system-out").text = _clean("\n".join([*comparison.notes, *_new(comparison)]))

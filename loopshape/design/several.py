@@ -1,9 +1,9 @@
-"""The loops of one plant, tuned one after the other with the others closed, until nothing moves."""
+"""Several loops of one plant, tuned one after the other with the others closed, until nothing moves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
 
@@ -14,19 +14,16 @@ from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.algebra.propagation import pick
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.shorthand import bounded
-from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
-from loopshape.design.growth import LEAST_GAIN
 from loopshape.design.tune import Tuning, tune
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
-from loopshape.loop.loops import Closed, loops_of, matrix_loops
 from loopshape.loop.matrix.determinant import encirclement_count
+from loopshape.loop.matrix.several import check_several, loop_matrices
 from loopshape.loop.stability.stability import unstable_count
-from loopshape.loop.verdict import check
+from loopshape.loop.verdict import loops_of
 
 #: controllers stand still where ln of no response moved by more than this in a round
 STILL = 3e-3
@@ -46,7 +43,7 @@ class Turn(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class TunedLoops(Plain):
+class SeveralTuning(Plain):
     """Controllers of all loops, how they came to be, and the verdict on all of them at once.
 
     `converged` tells that in the last round no controller moved; where it is False the loops pull at each other, and
@@ -77,79 +74,78 @@ class TunedLoops(Plain):
         return {turn.loop: turn.tuning for turn in self.turns}
 
 
-def tune_loops(
+def tune_several(
     frfs: Sequence[FRF],
     requirements: Sequence[Requirements],
     controllers: Sequence[Controller] = (),
-    together: Requirements | None = None,
+    several: SeveralRequirements | None = None,
     *,
-    fits: Sequence[Fit] = (),
-    recorded_under: Sequence[Controller] = (),
-    grow: int = 0,
-    least_gain: float = LEAST_GAIN,
+    held: Sequence[Controller] = (),
     rounds: int = 10,
     seed: int = 0,
     starts: int = 16,
     draws: int = 60,
     step: Callable[[str], None] = lambda word: None,
-) -> TunedLoops:
+) -> SeveralTuning:
     """Tune the loops of a plant's matrices (one an operating point) in turn; same input and seed, same controllers.
 
     Loops are tuned in the order of `requirements`, each to the plants that it meets while the others are closed with
     their latest controllers; loops that have none yet are open. `controllers` are where loops start, and those of loops
     without requirements stay as they are. From the second round on each search begins at the loop's own controller. A
-    round in which no controller moves by more than 0.3 % ends it. `together`, `fits` and `recorded_under` serve the
-    last check, as `check` has them. With `grow` each loop's structure grows in the first round, as in `tune`. `step`
-    is called with a word after each tuning.
+    round in which no controller moves by more than 0.3 % ends it. `several` and `held` serve the last check, as
+    `check_several` has them. `step` is called with a word after each tuning.
 
     With the others closed the plant of a loop may be unstable where they need it to be stable: the unstable poles of
     each such plant are counted from the matrix. What comes out is a point that no loop improves on alone, not the best
-    for all; the order of the loops matters. Refuses what `tune` and `square_part` refuse.
+    for all; the order of the loops matters. Refuses fewer than two loops and what `tune` and `square_part` refuse.
     """
     given = {one.loop: one for one in controllers}
     wishes = {one.loop: one for one in requirements}
     names = (*wishes, *(name for name in given if name not in wishes))
-    squares = [square_part(frf, names, least=1)[0] for frf in frfs]
+    if len(names) < 2:
+        raise WrongUseError("several loops are two at least", ", ".join(names) or "none", "one alone: tune")
+    squares = [square_part(frf, names)[0] for frf in frfs]
     state = _State(squares, names, wishes, dict(given))
-    growing = {"grow": grow, "least_gain": least_gain}
     turns: list[Turn] = []
     for number in range(1, rounds + 1):
         mine = []
         for loop in wishes:
-            search = {"seed": seed, "draws": draws, "starts": starts} | (growing if number == 1 else {})
-            mine.append(state.turn(number, loop, search))
+            mine.append(state.turn(number, loop, seed, starts, draws))
             step(f"round {number}: {loop} {mine[-1].tuning.bandwidth_hz:.3g} Hz")
         turns += mine
         if all(turn.moved < STILL for turn in mine):
             break
     found = tuple(state.controllers[name] for name in names)
-    verdict = check(frfs, found, requirements, fits, together=together, closed=names, recorded_under=recorded_under)
+    verdict = check_several(frfs, found, requirements, several, loops=names, held=held)
     still = all(turn.moved < STILL for turn in turns[-len(wishes) :])
-    return TunedLoops(found, tuple(turns), verdict, still, tuple(dict.fromkeys(state.notes)))
+    return SeveralTuning(found, tuple(turns), verdict, still, tuple(dict.fromkeys(state.notes)))
 
 
-@dataclass(eq=False)
 class _State:
     """Matrices, wishes, and the controllers as they stand."""
 
-    frfs: Sequence[FRF]
-    names: tuple[str, ...]
-    wishes: dict[str, Requirements]
-    controllers: dict[str, Controller]
-    notes: list[str] = field(default_factory=list)
+    def __init__(
+        self,
+        frfs: Sequence[FRF],
+        names: tuple[str, ...],
+        wishes: Mapping[str, Requirements],
+        controllers: dict[str, Controller],
+    ) -> None:
+        self.frfs, self.names, self.wishes, self.controllers = frfs, names, wishes, controllers
+        self.notes: list[str] = []
 
-    def turn(self, number: int, loop: str, search: Mapping[str, Any]) -> Turn:
+    def turn(self, number: int, loop: str, seed: int, starts: int, draws: int) -> Turn:
         """Tune one loop with the others as they stand, and let its controller stand."""
         others = tuple(name for name in self.names if name in self.controllers and name != loop)
         plants = [self._met(frf, loop, others, k) for frf, k in zip(self.frfs, count(1))]
-        self.wishes[loop] = replace(self.wishes[loop], structure=bounded(self.wishes[loop].structure, plants))
         wish = self._wish(loop, others, plants)
         before = self.controllers.get(loop)
-        found = tune(plants, wish, start=before, explain=False, **{**search, **({} if number == 1 else {"starts": 1})})
+        found = tune(
+            plants, wish, start=before, seed=seed, starts=starts if number == 1 else 1, draws=draws, explain=False
+        )
         if number > 1 and not found.feasible:
-            found = tune(plants, wish, start=before, explain=False, **search)
+            found = tune(plants, wish, start=before, seed=seed, starts=starts, draws=draws, explain=False)
         self.controllers[loop] = found.controller
-        self.wishes[loop] = replace(self.wishes[loop], structure=found.structure)
         return Turn(number, loop, others, found, _moved(before, found.controller, self.frfs[0].frequency_hz))
 
     def _part(self, frf: FRF, names: Sequence[str]) -> FRF:
@@ -187,8 +183,8 @@ class _State:
             found = None if loop.integrators is None else unstable_count(loop)
         else:
             own = [self.controllers[name] for name in closed]
-            loops, _ = matrix_loops(Closed((part,), tuple(own), ()), Requirements(unstable_poles=0))
-            found = encirclement_count(loops[0])
+            matrices, _ = loop_matrices([part], own, SeveralRequirements(unstable_poles=0), loops=closed)
+            found = encirclement_count(next(iter(matrices.values())))
         if isinstance(found, int):
             return max(found, 0)
         self.notes.append(f"{', '.join(closed)} closed alone are taken to be stable at {frf.recording}")

@@ -1,0 +1,55 @@
+"""Outcomes and their order: the one place that says which is worse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import StrEnum
+from typing import Self
+
+
+class Graded(StrEnum):
+    """Words from best to worst, as they are defined."""
+
+    @property
+    def severity(self) -> int:
+        """0 for the best, and one more for each that is worse."""
+        return list(type(self)).index(self)
+
+    @classmethod
+    def worst(cls, found: Iterable[str]) -> Self:
+        """The worst of some; the best where there are none."""
+        return max(map(cls, found), key=lambda one: one.severity, default=next(iter(cls)))
+
+
+class Outcome(Graded):
+    """What data say of a controller under requirements: each is also its word."""
+
+    PASSED = "passed"
+    UNDECIDED = "undecided"
+    FAILED = "failed"
+
+    @property
+    def word(self) -> str:
+        """How it is printed: a failure is loud."""
+        return {"passed": "pass", "failed": "FAIL"}.get(self.value, self.value)
+
+
+class ClosedLoop(Graded):
+    """What data say of a closed loop."""
+
+    STABLE = "stable"
+    UNDECIDED = "undecided"
+    UNSTABLE = "unstable"
+
+    @property
+    def outcome(self) -> Outcome:
+        """The same as an outcome: an unstable loop fails."""
+        return list(Outcome)[self.severity]
+
+
+class Change(Graded):
+    """What became of something since a baseline."""
+
+    BETTER = "better"
+    UNCHANGED = "unchanged"
+    WORSE = "worse"
