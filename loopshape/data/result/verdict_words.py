@@ -136,12 +136,12 @@ def stability_text(margins: Margins) -> str:
 
 def _why(margins: Margins) -> str:
     reason = f": {margins.stability_reason}" if margins.stability_reason else ""
-    band = margins.stability_band_hz
-    to_measure = "" if band is None or margins.stable is not ClosedLoop.UNDECIDED else f"; measure {_band(*band)}"
-    return f"{reason}{to_measure}"
+    band = margins.stability_band_hz if margins.stable is ClosedLoop.UNDECIDED else None
+    return reason + ("" if band is None else f"; measure {band_text(*band)}")
 
 
-def _band(low_hz: float, high_hz: float) -> str:
+def band_text(low_hz: float, high_hz: float) -> str:
+    """A band to measure, open at one end perhaps."""
     if low_hz > 0.0 and high_hz < float("inf"):
         return f"{low_hz:.3g} to {high_hz:.3g} Hz"
     return f"below {high_hz:.3g} Hz" if high_hz < float("inf") else f"above {low_hz:.3g} Hz"

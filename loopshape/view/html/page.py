@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from importlib.resources import files
 from typing import Any
 
-from loopshape.core.json_ready import json_ready
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.frf import FRF
@@ -18,6 +17,7 @@ from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces
 from loopshape.view.html.words import WORDS
 from loopshape.view.page.page import resource
+from loopshape.view.page.payload import limit_words
 
 _READ = (
     "Point at a curve, or tap it: all plots of the loop mark the same frequency, and its values stand below. With the"
@@ -47,7 +47,7 @@ def page(report: RunReport) -> str:
 def _data(plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> dict[str, Any]:
     """What the script draws."""
     loops = [loop_data(*one) for one in plotted]
-    return {"limits": json_ready(LIMITS), "bands_at_once": BANDS_AT_ONCE, "loops": loops}
+    return {"limits": [*map(limit_words, LIMITS)], "bands_at_once": BANDS_AT_ONCE, "loops": loops}
 
 
 def _head(report: RunReport) -> Markup:

@@ -14,7 +14,7 @@ from loopshape.data.result.detuning import Reach
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.run_report import CheckedLoop, RunReport
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import Row, row_of
+from loopshape.data.result.verdict_words import Row, band_text, row_of
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.words import (
     DASH,
@@ -22,7 +22,6 @@ from loopshape.view.html.words import (
     WORDS,
     Cell,
     badge,
-    band,
     count,
     figure,
     interval,
@@ -274,7 +273,9 @@ def certificate(one: CheckedLoop) -> Markup:
     """Stability of each operating point with its reason; alike ones in one row. And what had to be assumed."""
     groups: dict[tuple[ClosedLoop, str, str], list[str]] = {}
     for name, m in one.verdict.margins.items():
-        groups.setdefault((m.stable, m.stability_reason, band(m.stability_band_hz)), []).append(name)
+        groups.setdefault(
+            (m.stable, m.stability_reason, band_text(*m.stability_band_hz) if m.stability_band_hz else ""), []
+        ).append(name)
     rows: list[list[Cell | Content]] = [
         [Cell(badge(stable.outcome, stable)), reason or DASH, measure or DASH, len(names), ", ".join(names)]
         for (stable, reason, measure), names in sorted(groups.items(), key=lambda group: -group[0][0].severity)

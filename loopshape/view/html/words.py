@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, isinf, isnan
+from math import isinf, isnan
 
 from loopshape.core.outcomes import Outcome
 from loopshape.data.requirement.requirements import Limit
@@ -55,16 +55,6 @@ def point(operating_point: Mapping[str, float], parameters: Mapping[str, float] 
         name, unit = split_unit(key)
         parts.append(f"{name} {number(value)} {'' if unit == '1' else unit}".rstrip())
     return ", ".join(parts)
-
-
-def band(found: tuple[float, float] | None) -> str:
-    """A band to measure in words, empty without one; it may be open at one end."""
-    if found is None:
-        return ""
-    low, high = found
-    if low > 0.0 and isfinite(high):
-        return f"{number(low, 3)} to {number(high, 3)} Hz"
-    return f"below {number(high, 3)} Hz" if isfinite(high) else f"above {number(low, 3)} Hz"
 
 
 def named(name: str, where: str) -> Markup:

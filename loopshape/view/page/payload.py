@@ -20,7 +20,7 @@ from loopshape.data.control.block import BLOCK_KINDS, Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop, known_above, reach_above
 from loopshape.data.requirement.limits_over import MASKED, AtPoints
-from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.requirement.requirements import LIMITS, Limit, Requirements
 from loopshape.data.requirement.weight import Objective
 from loopshape.data.response import smoothed as dense
 from loopshape.data.response.frf import FRF
@@ -41,8 +41,10 @@ from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
 from loopshape.loop.verdict import loops_of, outside_warnings
 from loopshape.view.html.markup import packed
 
-#: limits that the page does not judge: it knows no disturbance and no weights
-LEFT_OUT = ("error_rms", "weighted_norm")
+#: what pages know of a limit, to draw it and to read it
+_LIMIT = ("name", "sense", "unit", "label", "plot", "scale", "asked", "crossing", "open")
+#: limits that the page reads without a column; of the columns it knows those before this one
+_WITHOUT_COLUMN, _COLUMNS = ("controller_bandwidth_hz", "detuning_percent"), kernel.LN_WEIGHTED
 #: what is required in words of its own, and weights, which the page's file leaves out
 _APART = ("structure", "objective", "masks", "at", "weights", "weighted_norm", *MASKED)
 FORMAT = "loopshape-shape/1"
@@ -85,12 +87,29 @@ def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[s
         "format": FORMAT,
         "version": version,
         "title": title,
-        "limits": [json_ready(limit) for limit in LIMITS if limit.name not in LEFT_OUT],
+        "limits": [limit_words(limit) for limit in LIMITS if _is_read(limit)],
         "blocks": {name: list(kind.parameters) for name, kind in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
         "loops": [_loop(one) for one in loops],
     }
+
+
+def _is_read(limit: Limit) -> bool:
+    """Whether the page reads a limit: it knows no disturbance, no weights, and no column that came later."""
+    return margins.COLUMN_OF.get(limit.name, _COLUMNS) < _COLUMNS or limit.name in _WITHOUT_COLUMN
+
+
+def limit_words(limit: Limit) -> dict[str, Any]:
+    """What pages know of a limit."""
+    ends = {"ceiling": limit.ceiling, "distance": limit.distance, "column": margins.COLUMN_OF.get(limit.name)}
+    return {key: getattr(limit, key) for key in _LIMIT} | {k: min(x, 1e300) if x else x for k, x in ends.items()}
+
+
+def _not_read(required: Requirements) -> list[str]:
+    """A sentence on limits that are required and that the page does not read."""
+    names = [x.name for x in LIMITS if not _is_read(x) and x.name in required.limited()]
+    return [f"required, and read by loopshape check alone: {', '.join(names)}"] if names else []
 
 
 def _constants() -> dict[str, Any]:
@@ -178,7 +197,7 @@ def _loop(one: ShapingSession) -> dict[str, Any]:
         ],
         "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
         "certificate": certificate_words(one.verdict),
-        "notes": [*notes, *outside_warnings(required, loops)],
+        "notes": [*notes, *outside_warnings(required, loops), *_not_read(required)],
     }
 
 

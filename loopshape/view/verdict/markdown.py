@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.data.requirement.requirements import LIMITS
-from loopshape.data.result.baseline import Comparison, MarginChange
-from loopshape.data.result.margins import Margins
+from loopshape.data.result.baseline import Comparison
+from loopshape.data.result.margins import Reading
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import (
     interval_text,
@@ -16,7 +16,7 @@ from loopshape.data.result.verdict_words import (
     stability_text,
     unstable_text,
 )
-from loopshape.view.verdict.tables import line_change_words
+from loopshape.view.verdict.tables import comparison_tables
 
 #: what Markdown or GitHub's reader would take for more than a letter
 _MARKS = re.compile(r"[\\`*\[\]|~$<>]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|^(?:#+|[+-]|\d+[.)])(?= )")
@@ -55,7 +55,7 @@ def _counts(verdict: Verdict) -> str:
 def _requirements(verdict: Verdict) -> list[str]:
     columns = ["requirement", "required", "worst case", "95 % interval", "slack", "unit", "at", "Hz", "verdict"]
     rows = [
-        [x.quantity, x.asked, x.worst, x.interval, x.slack, x.unit, x.recording, _hz(x.at_hz), x.verdict]
+        [x.quantity, x.asked, x.worst, x.interval, x.slack, x.unit, x.recording, x.at_hz, x.verdict]
         for x in map(row_of, verdict.lines)
     ]
     parts = [f"### Loop {_escaped(verdict.loop)}", _table(columns, rows)]
@@ -63,55 +63,38 @@ def _requirements(verdict: Verdict) -> list[str]:
     return parts + (["\n".join(f"- {_escaped(note)}" for note in notes)] if notes else [])
 
 
-def _hz(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
-
-
 def _comparison(title: str, comparison: Comparison) -> list[str]:
-    parts = [f"### {_escaped(title)}: {comparison.counts}"]
-    lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
-    lines += [[f"stability in {s.recording}", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
-    if lines:
-        parts.append(_table(["requirement", "loop", "before", "required", "now", "required now"], lines))
-    if moved := comparison.largest():
-        columns = ["margin", "loop", "before", "now", "change", "its 95 % interval", "unit", "at", "points", "outcome"]
-        parts.append(_table(columns, [_moved(change, points) for change, points in moved]))
-    notes = [f"gone: {name}" for name in comparison.gone] + [f"new: {name}" for name in comparison.new]
-    return [*parts, "\n".join(f"- {_escaped(note)}" for note in [*notes, *comparison.notes])]
-
-
-def _moved(change: MarginChange, points: int) -> list[str]:
-    numbers = [f"{change.before:.4g}", f"{change.now:.4g}", f"{change.change:+.4g}"]
-    interval = "exact" if change.interval is None else interval_text(change.interval)
-    return [
-        change.quantity, change.loop, *numbers, interval, change.unit, change.recording, str(points), change.outcome,
-    ]  # fmt: skip
+    parts = [_table(columns, rows) for _, columns, rows in comparison_tables(title, comparison)]
+    notes = "\n".join(f"- {_escaped(note)}" for note in comparison.remarks)
+    return [f"### {_escaped(title)}: {comparison.counts}", *parts, notes]
 
 
 def _margins(verdict: Verdict) -> str:
     shown = [limit for limit in LIMITS if any(_is_known(m[limit.name].value) for m in verdict.margins.values())]
     columns = ["operating point", "closed loop", *(f"{limit.label.split(' (')[0]} [{limit.unit}]" for limit in shown)]
     rows = [
-        [name, m.stable if m.stable is ClosedLoop.STABLE else stability_text(m), *(_margin(m, x.name) for x in shown)]
+        [name, m.stable if m.stable is ClosedLoop.STABLE else stability_text(m), *(_margin(m[x.name]) for x in shown)]
         for name, m in verdict.margins.items()
     ]
     head = f"<details><summary>Margins of loop {_html(verdict.loop)} at each operating point</summary>"
     return f"{head}\n\n{_table(columns, rows)}\n\n</details>"
 
 
-def _margin(margins: Margins, name: str) -> str:
-    value, interval = margins[name].value, margins[name].interval
-    shown = f"{value:.4g}" if _is_known(value) else "-"
-    return shown if interval is None else f"{shown} ({interval_text(interval)})"
+def _margin(read: Reading) -> str:
+    shown = f"{read.value:.4g}" if _is_known(read.value) else "-"
+    return shown if read.interval is None else f"{shown} ({interval_text(read.interval)})"
 
 
 def _is_known(value: float) -> bool:
     return value == value and value != float("-inf")
 
 
-def _table(columns: Iterable[str], rows: Iterable[Sequence[str]]) -> str:
-    heads = [_escaped(name) for name in columns]
-    lines = [heads, ["---"] * len(heads), *([_escaped(cell) for cell in row] for row in rows)]
+def _table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    cells = [
+        [f"{cell:.4g}" if isinstance(cell, float) else "-" if cell is None else str(cell) for cell in x] for x in rows
+    ]
+    lines = [[*map(_escaped, row)] for row in (columns, *cells)]
+    lines.insert(1, ["---"] * len(columns))
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 

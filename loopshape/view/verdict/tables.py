@@ -128,20 +128,17 @@ def _detunings(verdict: Verdict) -> Iterator[Table]:
 def comparison_tables(title: str, comparison: Comparison) -> Iterator[Table]:
     """What became of a baseline: outcomes that changed, then margins that did."""
     lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
-    lines += [["stability", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
+    lines += [[f"stability in {s.recording}", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
     if lines:
         yield f"{title}: outcomes", ["requirement", "loop", "before", "required", "now", "required now"], lines
     if moved := comparison.largest():
         columns = ["margin", "loop", "unit", "before", "now", "change", "its 95 % interval", "at", "points", "outcome"]
-        yield f"{title}: margins", columns, [_moved(*one) for one in moved]
-
-
-def _moved(change: Any, points: int) -> list[Any]:
-    interval = "exact" if change.interval is None else interval_text(change.interval)
-    numbers = [change.before, change.now, change.change]
-    return [
-        change.quantity, change.loop, change.unit, *numbers, interval, change.recording, points, change.outcome,
-    ]  # fmt: skip
+        intervals = ["exact" if x.interval is None else interval_text(x.interval) for x, _ in moved]
+        rows = [
+            [x.quantity, x.loop, x.unit, x.before, x.now, x.change, interval, x.recording, points, x.outcome]
+            for (x, points), interval in zip(moved, intervals, strict=True)
+        ]
+        yield f"{title}: margins", columns, rows
 
 
 def comparison_text(title: str, comparison: Comparison) -> str:

@@ -14,6 +14,18 @@ export interface Limit {
   plot: string;
 }
 
+/** A row of the table of limits that the page reads itself (Python: Limit). */
+export interface ReadLimit extends Limit {
+  /** The kernel's column, null of what is read elsewhere, and its scale. */
+  column: number | null;
+  scale: "plain" | "ln" | "inverse";
+  ceiling: number | null;
+  distance: number;
+  asked: boolean;
+  crossing: boolean;
+  open: boolean;
+}
+
 /** Numbers of the Python modules, under their names there. */
 export interface Constants {
   half_width: number;
@@ -240,7 +252,7 @@ export interface Raw {
   format: string;
   version: string;
   title: string;
-  limits: Limit[];
+  limits: ReadLimit[];
   blocks: Record<string, string[]>;
   constants: Constants;
   random: { smoothing: State; between: State };

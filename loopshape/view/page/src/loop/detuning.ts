@@ -1,14 +1,13 @@
 // Detuning margin: how far the plant's frequencies, or one resonance alone, may move before something breaks (Python:
 // loop/detuning.py).
 
-import { clip, fromDb, union, type Real } from "../numbers/arrays";
+import { clip, union, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import type { Controller } from "../numbers/controller";
 import type { Loop, Plant } from "./loop";
-import { LOGARITHMS, PLAIN, type Interval, type Margins } from "./margins";
-import type { Constants, Limit, Requirements, Seen } from "../payload";
+import { columnsOf, onColumn, type Interval, type Margins } from "./margins";
+import type { Constants, ReadLimit, Requirements, Seen } from "../payload";
 import { readerOf } from "./limits";
-import * as kernel from "./reading";
 import { seenResonances, Shiftable, type Moved, type Reading } from "./shifted";
 
 /** The largest shift one way, in per cent, below which all holds; what breaks there, and its 95 % interval. */
@@ -41,7 +40,7 @@ export function worstReading({ up, down }: Pick<Detuning, "up" | "down">): Detun
 }
 
 /** Margins with their detuning margin and its interval; as they are where stability is not decided. */
-export function withDetuning(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Margins {
+export function withDetuning(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: ReadLimit[]): Margins {
   const detuning = detuningOf(loop, drawn, m, requirements, limits);
   if (!detuning) return m;
   const { up, down } = detuning;
@@ -55,9 +54,9 @@ export function withDetuning(loop: Loop, drawn: Plant, m: Margins, requirements:
 }
 
 /** Searches over shifts of one loop's plant, whole or a resonance at a time; null where its poles cannot be counted. */
-function searches(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): { whole: Search; alone: (one: Seen) => Search; seen: Seen[] } | null {
+function searches(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: ReadLimit[]): { whole: Search; alone: (one: Seen) => Search; seen: Seen[] } | null {
   if (!m.stability || m.stability.outcome === "undecided" || loop.f.length < 2) return null;
-  const plant = new Shiftable(loop, drawn, readerOf(requirements));
+  const plant = new Shiftable(loop, drawn, readerOf(requirements, limits));
   const stretched = plant.stretched();
   const unmoved = stretched.reading(0);
   if (unmoved.poles === null) return null;
@@ -66,13 +65,13 @@ function searches(loop: Loop, drawn: Plant, m: Margins, requirements: Requiremen
   return { whole: search(stretched), alone: (one) => search(plant.withMoved(one)), seen };
 }
 
-function detuningOf(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Detuning | null {
+function detuningOf(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: ReadLimit[]): Detuning | null {
   const found = searches(loop, drawn, m, requirements, limits);
   return found && { ...found.whole.both(), resonances: null };
 }
 
 /** Margins with what each of the plant's resonances, moved alone, leaves, where a detuning margin is required. */
-export function withResonances(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: Limit[]): Margins {
+export function withResonances(loop: Loop, drawn: Plant, m: Margins, requirements: Requirements, limits: ReadLimit[]): Margins {
   if (!m.detuning || typeof requirements.detuning_percent !== "number") return m;
   const found = searches(loop, drawn, m, requirements, limits);
   const resonances = found && found.seen.map((one) => ({ hz: one.hz, damping: one.damping, ...found.alone(one).both() }));
@@ -81,22 +80,13 @@ export function withResonances(loop: Loop, drawn: Plant, m: Margins, requirement
 
 export const STABILITY = "stability";
 
-const columnOf = (name: string): number | undefined =>
-  name === "sensitivity_peak_db" ? kernel.LN_MODULUS : (PLAIN[name] ?? LOGARITHMS[name]);
-
-/** A limit on the scale of the kernel's column. */
-function scaled(name: string, value: number): number {
-  if (name === "sensitivity_peak_db") return -Math.log(fromDb(value));
-  return name in LOGARITHMS ? Math.log(value) : value;
-}
-
 type End = -1 | 0 | 1;
 
 /** Slacks of one loop over shifts of its plant. */
 class Search {
   private readonly c: Constants["detuning"];
   private readonly closely: boolean;
-  private readonly limits: Limit[];
+  private readonly limits: ReadLimit[];
   private readonly columns: number[];
   private readonly signs: number[];
   private readonly required: number[];
@@ -108,7 +98,7 @@ class Search {
     private readonly loop: Loop,
     private readonly m: Margins,
     requirements: Requirements,
-    limits: Limit[],
+    limits: ReadLimit[],
     private readonly moved: Moved,
     unmoved: Reading,
     seen: Seen[],
@@ -116,11 +106,12 @@ class Search {
     const required = requirements.detuning_percent;
     this.c = loop.plant.source.constants.detuning;
     this.closely = typeof required === "number";
-    this.limits = limits.filter(({ name }) => columnOf(name) !== undefined && typeof requirements[name] === "number");
-    this.columns = this.limits.map(({ name }) => columnOf(name) as number);
-    this.signs = this.limits.map(({ name, sense }) => (sense === "at_least" || name === "sensitivity_peak_db" ? 1 : -1));
-    this.required = this.limits.map(({ name }) => scaled(name, requirements[name] as number));
-    const now = this.limits.map(({ name }) => scaled(name, m.values[name]));
+    const asked = columnsOf(limits).filter(([{ name }]) => typeof requirements[name] === "number");
+    this.limits = asked.map(([limit]) => limit);
+    this.columns = asked.map(([, column]) => column);
+    this.signs = this.limits.map(({ scale, sense }) => ((sense === "at_least") !== (scale === "inverse") ? 1 : -1));
+    this.required = this.limits.map((limit) => onColumn(limit, requirements[limit.name] as number));
+    const now = this.limits.map((limit) => onColumn(limit, m.values[limit.name]));
     this.bias = this.columns.map((c, k) => finite(unmoved.values[c] - now[k]));
     this.known = { "-1": this.knownReach(m, now, -1), "1": this.knownReach(m, now, 1) };
     this.shifts = shiftsOf(loop, seen, this.closely ? (required as number) : null);
@@ -128,10 +119,10 @@ class Search {
 
   /** How far the bad or good end of the unmoved loop's intervals lies from the estimate. */
   private knownReach(m: Margins, now: number[], end: End): number[] {
-    return this.limits.map(({ name }, k) => {
-      const interval = m.intervals[name];
+    return this.limits.map((limit, k) => {
+      const interval = m.intervals[limit.name];
       if (!interval) return 0;
-      const ends = interval.map((value) => this.signs[k] * (scaled(name, value) - now[k]));
+      const ends = interval.map((value) => this.signs[k] * (onColumn(limit, value) - now[k]));
       return finite(end < 0 ? Math.min(...ends) : Math.max(...ends));
     });
   }

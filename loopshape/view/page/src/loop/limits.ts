@@ -1,7 +1,7 @@
 // Limits over frequency and over operating points (Python: data/limits_over.py, Requirements.of).
 
 import { fromDb, type Real } from "../numbers/arrays";
-import type { Requirements } from "../payload";
+import type { ReadLimit, Requirements } from "../payload";
 
 /** How far the worst frequency lies beyond all masks of a kind, in the order of the kernel's columns. */
 export const MASKED = [
@@ -25,11 +25,12 @@ export type OperatingPoint = Record<string, number>;
 export interface Reader {
   fromHz: number;
   masks: Mask[];
+  limits: ReadLimit[];
 }
 
 /** A reader for the requirements at one operating point. */
-export function readerOf({ control_high_frequency_from_hz: from, masks = [] }: Requirements): Reader {
-  return { fromHz: typeof from === "number" ? from : Infinity, masks };
+export function readerOf({ control_high_frequency_from_hz: from, masks = [] }: Requirements, limits: ReadLimit[]): Reader {
+  return { fromHz: typeof from === "number" ? from : Infinity, masks, limits };
 }
 
 /** Name of the limit that a mask belongs to. */

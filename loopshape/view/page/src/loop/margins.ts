@@ -1,47 +1,29 @@
 // Loop -> margins, bias-corrected for noise, with 95 % intervals from draws (Python: loop/margins.py).
 
-import { clip, db, geometric, placeIn, type Complex, type Real } from "../numbers/arrays";
+import { clip, db, fromDb, geometric, placeIn, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import { sumsOf, type Draws } from "../numbers/dense";
 import type { Detuning } from "./detuning";
-import { MASKED, type Reader } from "./limits";
+import type { ReadLimit } from "../payload";
+import type { Reader } from "./limits";
 import { inSight, largestAbove, readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
 
-export const PLAIN: Record<string, number> = {
-  gain_margin_db: kernel.GAIN_DB,
-  gain_reduction_margin_db: kernel.REDUCTION_DB,
-  phase_margin_deg: kernel.PHASE_DEG,
-  complementary_peak_db: kernel.COMPLEMENTARY_DB,
-  control_peak_db: kernel.CONTROL_DB,
-  control_high_frequency_db: kernel.CONTROL_HIGH_DB,
-  process_peak_db: kernel.PROCESS_DB,
-  sensitivity_mask_db: kernel.MASK_S,
-  complementary_mask_db: kernel.MASK_T,
-  control_mask_db: kernel.MASK_CS,
-  process_mask_db: kernel.MASK_PS,
-  loop_mask_db: kernel.MASK_L,
-  loop_floor_db: kernel.FLOOR_L,
-};
-export const LOGARITHMS: Record<string, number> = {
-  modulus_margin: kernel.LN_MODULUS,
-  delay_margin_s: kernel.LN_DELAY_S,
-  disk_margin: kernel.LN_DISK,
-  bandwidth_hz: kernel.LN_BANDWIDTH_HZ,
-  sensitivity_bandwidth_hz: kernel.LN_SENSITIVITY_HZ,
-  complementary_bandwidth_hz: kernel.LN_COMPLEMENTARY_HZ,
-};
-const BANDWIDTHS: Record<string, number> = {
-  sensitivity_bandwidth_hz: kernel.LN_SENSITIVITY_HZ,
-  complementary_bandwidth_hz: kernel.LN_COMPLEMENTARY_HZ,
-};
-const MOST: Record<string, number> = {
-  gain_margin_db: Infinity,
-  gain_reduction_margin_db: Infinity,
-  phase_margin_deg: 180,
-  disk_margin: 2,
-};
+const readLimits = new WeakMap<ReadLimit[], [ReadLimit, number][]>();
+
+/** Limits that the kernel reads, each with its column. */
+export function columnsOf(limits: ReadLimit[]): [ReadLimit, number][] {
+  const made = readLimits.get(limits) ?? limits.flatMap((limit): [ReadLimit, number][] => (limit.column === null ? [] : [[limit, limit.column]]));
+  readLimits.set(limits, made);
+  return made;
+}
+
+/** A quantity from the kernel's column, and back. */
+export const valueOf = ({ scale }: ReadLimit, column: number): number =>
+  scale === "inverse" ? -db(Math.exp(column)) : scale === "ln" ? Math.exp(column) : column;
+export const onColumn = ({ scale }: ReadLimit, value: number): number =>
+  scale === "inverse" ? -Math.log(fromDb(value)) : scale === "ln" ? Math.log(value) : value;
 
 export type Interval = [number, number];
 
@@ -71,8 +53,8 @@ export function margins(loop: Loop, reader: Reader): Margins {
     own.low = own.low.map((value, k) => Math.min(value, its.low[k]));
     own.high = own.high.map((value, k) => Math.max(value, its.high[k]));
   }
-  const [low, high] = [fields(own.low), fields(own.high)];
-  const values = fields(own.value);
+  const [low, high] = [fields(own.low, reader), fields(own.high, reader)];
+  const values = fields(own.value, reader);
   const intervals: Record<string, Interval> = {};
   if (first.draws) {
     for (const name of Object.keys(low).filter((one) => one in high)) {
@@ -80,7 +62,7 @@ export function margins(loop: Loop, reader: Reader): Margins {
     }
   }
   const ends = bounds(loop, first, found, reader);
-  if (!inSight(loop)) notMeasured(values, ends, intervals, first.f[0]);
+  if (!inSight(loop)) notMeasured(values, ends, intervals, first.f[0], reader);
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
   values.detuning_percent = NaN;
   return {
@@ -88,7 +70,7 @@ export function margins(loop: Loop, reader: Reader): Margins {
     intervals,
     bounds: ends,
     missing_hz: loop.point.gaps.filter((gap) => gap.missing).map((gap) => gap.hz),
-    at_hz: places(at, first.f[0]),
+    at_hz: places(at, first.f[0], reader),
     crossings_hz: unitCrossings(first.f, first.L),
     phase_crossings_hz: axisCrossings(first.f, first.L),
     stability: null,
@@ -99,9 +81,9 @@ export function margins(loop: Loop, reader: Reader): Margins {
 
 /** Leave out what belongs to a crossover below the first line: nothing, and a bandwidth from 0 up to that line. */
 function notMeasured(
-  values: Record<string, number>, ends: Record<string, number>, intervals: Record<string, Interval>, first_hz: number,
+  values: Record<string, number>, ends: Record<string, number>, intervals: Record<string, Interval>, first_hz: number, { limits }: Reader,
 ): void {
-  for (const name of ["phase_margin_deg", "delay_margin_s", "gain_reduction_margin_db"]) {
+  for (const { name } of limits.filter(({ crossing }) => crossing)) {
     values[name] = NaN;
     delete ends[name];
     delete intervals[name];
@@ -162,11 +144,12 @@ function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reade
   kernel.read(grid, j.reference.re, j.reference.im, bounded, reference);
   const out = { value: found.slice(), low: found.slice(), high: found.slice() };
   const { half_width } = loop.plant.source.constants;
+  const scatters = scattersOf(reader);
   const chords = betweenLines(loop, j, reference.found, reader, bounded);
   for (let c = 0; c < kernel.COLUMNS; c++) {
     const ordered = Float64Array.from({ length: j.draws.count }, (_, d) => drawn[d * kernel.COLUMNS + c]).sort();
     const usual = ordered.every(Number.isFinite) && Number.isFinite(reference.found[c]) && Number.isFinite(found[c]);
-    if (usual && ofOnePiece(ordered) && deviation(ordered) <= (DISTANCES[c] ?? Infinity)) {
+    if (usual && ofOnePiece(ordered) && deviation(ordered) <= (scatters.get(c) ?? Infinity)) {
       out.value[c] = found[c] - (mean(ordered) - reference.found[c]);
       const half = Math.hypot(half_width * deviation(ordered), chords[c]);
       [out.low[c], out.high[c]] = [out.value[c] - half, out.value[c] + half];
@@ -211,14 +194,8 @@ function halvesOf(loop: Loop, j: Judged, reader: Reader): Half[] {
 
 const taken = (values: Real, k: number[]): Real => Float64Array.from(k, (at) => values[at]);
 
-/** Distances to -1 and peaks over them scatter as logarithms only where they are known to better than half. */
-const DISTANCES: Record<number, number> = {
-  [kernel.LN_MODULUS]: 0.5,
-  [kernel.LN_DISK]: 0.5,
-  [kernel.COMPLEMENTARY_DB]: 4.34,
-  [kernel.CONTROL_DB]: 4.34,
-  [kernel.PROCESS_DB]: 4.34,
-};
+/** Up to which deviation a column scatters as a logarithm, of distances to -1 and of peaks over them. */
+const scattersOf = ({ limits }: Reader): Map<number, number> => new Map(columnsOf(limits).map(([{ distance }, k]) => [k, distance]));
 
 const mean = (values: Float64Array): number => values.reduce((a, b) => a + b, 0) / values.length;
 
@@ -254,7 +231,7 @@ function drowned(j: Judged, draws: Draws): boolean {
 function bounds(loop: Loop, j: Judged, found: Float64Array, reader: Reader): Record<string, number> {
   const best = nominal(loop, j, reader, false).found;
   const out: Record<string, number> = {};
-  for (const [name, k] of Object.entries(BANDWIDTHS)) {
+  for (const [{ name }, k] of columnsOf(reader.limits).filter(([{ open }]) => open)) {
     if (found[k] === Math.log(j.f[j.f.length - 1])) out[name] = Infinity;
   }
   const bounded = found.map((value, k) => (value === best[k] ? 0 : 1));
@@ -263,28 +240,24 @@ function bounds(loop: Loop, j: Judged, found: Float64Array, reader: Reader): Rec
   const better = best.map((value, k) =>
     bounded[k] ? (value > found[k] ? Math.max(low[k], high[k]) : Math.min(low[k], high[k])) : NaN,
   );
-  for (const [name, value] of Object.entries(fields(better))) if (!Number.isNaN(value)) out[name] = value;
+  for (const [name, value] of Object.entries(fields(better, reader))) if (!Number.isNaN(value)) out[name] = value;
   return out;
 }
 
-function fields(columns: Float64Array): Record<string, number> {
+/** Quantities by name from the kernel's columns; a bias taken off may lead out of what can be. */
+function fields(columns: Float64Array, { limits }: Reader): Record<string, number> {
   const out: Record<string, number> = {};
-  for (const [name, k] of Object.entries(PLAIN)) {
-    if (columns[k] > -Infinity || !MASKED.includes(name)) out[name] = columns[k];
+  for (const [limit, k] of columnsOf(limits)) {
+    if (limit.asked && !(columns[k] > -Infinity)) continue;
+    const value = valueOf(limit, columns[k]);
+    out[limit.name] = limit.ceiling !== null && Number.isFinite(value) ? clip(value, 0, limit.ceiling) : value;
   }
-  for (const [name, k] of Object.entries(LOGARITHMS)) out[name] = Math.exp(columns[k]);
-  out.sensitivity_peak_db = -db(Math.exp(columns[kernel.LN_MODULUS]));
-  for (const [name, most] of Object.entries(MOST)) if (Number.isFinite(out[name])) out[name] = clip(out[name], 0, most);
   return out;
 }
 
-function places(at: Float64Array, first_hz: number): Record<string, number> {
-  const out: Record<string, number> = {};
-  const columns = { ...PLAIN, ...LOGARITHMS, sensitivity_peak_db: kernel.LN_MODULUS };
-  for (const [name, k] of Object.entries(columns)) {
-    if (Number.isFinite(at[k])) out[name] = at[k] > 1e-3 * first_hz ? at[k] : 0;
-  }
-  return out;
+function places(at: Float64Array, first_hz: number, { limits }: Reader): Record<string, number> {
+  const known = columnsOf(limits).filter(([, k]) => Number.isFinite(at[k]));
+  return Object.fromEntries(known.map(([{ name }, k]) => [name, at[k] > 1e-3 * first_hz ? at[k] : 0]));
 }
 
 /** Frequencies in Hz where |L| = 1; between lines ln L is linear in ln f. */

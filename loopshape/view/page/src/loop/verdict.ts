@@ -114,7 +114,7 @@ export class Engine {
   /** Estimates at every operating point, without bias, intervals and stability: what a drag shows at once. */
   estimates(controller: Controller, requirements: Requirements): Margins[] {
     const asked = this.asked(requirements);
-    return this.quick.map((plant, k) => margins(new Loop(plant, controller), readerOf(asked[k])));
+    return this.quick.map((plant, k) => margins(new Loop(plant, controller), readerOf(asked[k], this.payload.limits)));
   }
 
   /** What is required at each operating point. */
@@ -130,7 +130,7 @@ export class Engine {
   /** One operating point as Python's check reads it. */
   settled(index: number, controller: Controller, requirements: Requirements): Margins {
     const loop = new Loop(this.drawn[index], controller);
-    return { ...margins(loop, readerOf(this.asked(requirements)[index])), stability: closedLoopStability(loop), settled: true };
+    return { ...margins(loop, readerOf(this.asked(requirements)[index], this.payload.limits)), stability: closedLoopStability(loop), settled: true };
   }
 
   /** The same with its detuning margin, which takes longest. */
