@@ -188,7 +188,7 @@ def pressure_rates(arm: Arm, point: tuple[float, float] = (0.0, 1.0)) -> tuple[f
     c = constants(ARM1_PARAMETERS.vector({**moves(Arm1(), arm.effects), **arm.changes}))
     x = rest(c, *point, float(c[P_IN]))
     shut = (False, False)
-    up, down = (derivatives(c, *x[:5], *valves) for valves in ((True, True, *shut), (*shut, True, True)))
+    up, down = (derivatives(c, tuple(x[:5]), valves) for valves in ((True, True, *shut), (*shut, True, True)))
     return 1e-5 * float(up[1] + up[2]), -1e-5 * float(down[1] + down[2])
 
 

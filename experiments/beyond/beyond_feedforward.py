@@ -94,22 +94,21 @@ def held(c: Array, angle: float, velocity: float, wanted: float, p_ab_bar: float
     low, high = LOWEST_BAR, p_ab_bar - LOWEST_BAR
     for _ in range(30):
         middle = 0.5 * (low + high)
-        given = derivatives(
-            c, 0.0, 1e5 * middle, 1e5 * (p_ab_bar - middle), angle, velocity, False, False, False, False
-        )[3]
+        state = (0.0, 1e5 * middle, 1e5 * (p_ab_bar - middle), angle, velocity)
+        given = derivatives(c, state, (False,) * 4)[3]
         low, high = (middle, high) if given < wanted else (low, middle)
     return 0.5 * (low + high)
 
 
 def duty(c: Array, angle: float, velocity: float, p_a: float, slope: float, p_ab_bar: float, muscle: int) -> float:
     """Duty of a muscle's valves that gives its pressure the slope: p_A's, or with the other sign p_B's."""
-    state = c, float(c[P_IN]), 1e5 * p_a, 1e5 * (p_ab_bar - p_a), angle, velocity
+    state = float(c[P_IN]), 1e5 * p_a, 1e5 * (p_ab_bar - p_a), angle, velocity
     k, sign = 1 + muscle, 1.0 - 2.0 * muscle
-    shut = derivatives(*state, False, False, False, False)[k]
+    shut = derivatives(c, state, (False,) * 4)[k]
     missing = 1e5 * sign * slope - shut
     if missing > 0.0:
-        return missing / max(derivatives(*state, muscle == 0, muscle == 1, False, False)[k] - shut, 1.0)
-    return -missing / min(derivatives(*state, False, False, muscle == 0, muscle == 1)[k] - shut, -1.0)
+        return missing / max(derivatives(c, state, (muscle == 0, muscle == 1, False, False))[k] - shut, 1.0)
+    return -missing / min(derivatives(c, state, (False, False, muscle == 0, muscle == 1))[k] - shut, -1.0)
 
 
 def tracked(

@@ -71,17 +71,16 @@ def own_steps(c, held, p_c, p_a, p_b, theta, w, in_a, in_b, out_a, out_b, h, ste
         for k in range(p_c.size):
             c0, a0, b0, q0, w0 = p_c[k], p_a[k], p_b[k], theta[k], w[k]
             valves = in_a[k], in_b[k], out_a[k], out_b[k]
-            c1, a1, b1, w1, _ = moving(c, held, c0, a0, b0, q0, w0, q0, w0, *valves)
+            c1, a1, b1, _, w1, _, _ = moving(c, held, (c0, a0, b0, q0, w0, q0, w0), valves)
             v2, q2 = w0 + 0.5 * h * w1, q0 + 0.5 * h * w0
-            c2, a2, b2, w2, _ = moving(
-                c, held, c0 + 0.5 * h * c1, a0 + 0.5 * h * a1, b0 + 0.5 * h * b1, q2, v2, q2, v2, *valves
-            )
+            state = (c0 + 0.5 * h * c1, a0 + 0.5 * h * a1, b0 + 0.5 * h * b1, q2, v2, q2, v2)
+            c2, a2, b2, _, w2, _, _ = moving(c, held, state, valves)
             v3, q3 = w0 + 0.5 * h * w2, q0 + 0.5 * h * v2
-            c3, a3, b3, w3, _ = moving(
-                c, held, c0 + 0.5 * h * c2, a0 + 0.5 * h * a2, b0 + 0.5 * h * b2, q3, v3, q3, v3, *valves
-            )
+            state = (c0 + 0.5 * h * c2, a0 + 0.5 * h * a2, b0 + 0.5 * h * b2, q3, v3, q3, v3)
+            c3, a3, b3, _, w3, _, _ = moving(c, held, state, valves)
             v4, q4 = w0 + h * w3, q0 + h * v3
-            c4, a4, b4, w4, _ = moving(c, held, c0 + h * c3, a0 + h * a3, b0 + h * b3, q4, v4, q4, v4, *valves)
+            state = (c0 + h * c3, a0 + h * a3, b0 + h * b3, q4, v4, q4, v4)
+            c4, a4, b4, _, w4, _, _ = moving(c, held, state, valves)
             p_c[k] = c0 + h / 6.0 * (c1 + 2.0 * (c2 + c3) + c4)
             p_a[k] = a0 + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4)
             p_b[k] = b0 + h / 6.0 * (b1 + 2.0 * (b2 + b3) + b4)

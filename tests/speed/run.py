@@ -80,24 +80,18 @@ def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     """Our kernel on the same workload, one call, no Python inside; with parameters moved."""
     from loopshape.core.kernels.noise import start_state
     from loopshape.toolbox.arm.dynamics import closed_loop as kernel
-    from loopshape.toolbox.arm.dynamics import memory
     from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
 
     vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0} | (moves or {}))
     c, sensors = constants(vector), sensor_constants(vector)
-    x, m = start(), np.empty(memory.SIZE)
-    memory.start(c, x, m)
-    r, n = references(), references().shape[0]
+    x, r, n = start(), references(), references().shape[0]
     injected, out = np.zeros((n, 2)), np.zeros((n, kernel.MEASURED))
     sections = biquads()
-    seed = start_state(1)
+    inputs = kernel.Inputs(r, injected, kernel.CONTROLLER_INPUT, True, start_state(1))
 
     def go() -> None:
-        state = np.zeros((2, sections.shape[1], 2))
-        ended, _ = kernel.run(
-            c, sensors, x.copy(), m.copy(), sections[0], sections[1][:2], state, kernel.plain_wiring(2), r, injected,
-            kernel.CONTROLLER_INPUT, True, 1e-3, 20, 0.01, kernel.EDGES, 1, seed, out,
-        )  # fmt: skip
+        arm, loops = kernel.at_rest(c, x.copy()), kernel.plain_controllers(sections[0], sections[1][:2])
+        ended, _ = kernel.run(arm, sensors, loops, inputs, kernel.Pwm(1e-3, 20, 0.01), kernel.EDGES, 1, out)
         assert ended == kernel.COMPLETE, "the arm left its range"
 
     return go
@@ -136,7 +130,7 @@ def our_arm2() -> Callable[[], object]:
 
     from loopshape.core.kernels.noise import start_state
     from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
-    from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROLLER_INPUT, plain_wiring
+    from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROLLER_INPUT, Inputs, Pwm, plain_controllers
     from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
 
     vector = ARM2_PARAMETERS.vector()
@@ -144,14 +138,11 @@ def our_arm2() -> Callable[[], object]:
     r, sections, rested = work.references(), work.biquads(), work.start()
     injected, out = np.zeros_like(r), np.zeros((len(r), kernel.MEASURED))
     injected.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
-    wiring, seed = plain_wiring(4), start_state(1)
+    inputs = Inputs(r, injected, CONTROLLER_INPUT, True, start_state(1))
 
     def go() -> None:
-        state = np.zeros((4, sections.shape[1], 2))
-        ended, _ = kernel.run2(
-            c, sensors, rested.copy(), sections[0], sections[1], sections[2][:1], sections[3][:1], state, wiring, r,
-            injected, CONTROLLER_INPUT, True, 1e-3, 20, 0.01, 1, seed, out,
-        )  # fmt: skip
+        loops = plain_controllers(sections[0], sections[1], sections[2][:1], sections[3][:1])
+        ended, _ = kernel.run2(c, sensors, rested.copy(), loops, inputs, Pwm(1e-3, 20, 0.01), 1, out)
         assert ended == COMPLETE, "the arm left its range"
 
     return go
@@ -184,7 +175,7 @@ def solve_ivp_arm(seconds: float) -> Callable[[], object]:
     c, r, sections = constants(ARM1_PARAMETERS.vector()), references(seconds), biquads()
 
     def rates(_t: float, x: np.ndarray, in_a: bool, in_b: bool, out_a: bool, out_b: bool) -> np.ndarray:
-        d = derivatives(c, x[0], x[1], x[2], x[3], x[4], in_a, in_b, out_a, out_b)
+        d = derivatives(c, tuple(x[:5]), (in_a, in_b, out_a, out_b))
         return np.array([d[0], d[1], d[2], x[4], d[3]])
 
     def go() -> float:

@@ -61,7 +61,7 @@ def arm_open_loop():
     """
     from simulated_machines import Sensors
 
-    from loopshape.toolbox.arm.dynamics import closed_loop, memory
+    from loopshape.toolbox.arm.dynamics import closed_loop
 
     sensors = Sensors(0.0, 0.0, 0.0, 0.0, 1.5, 0.0, 1e9, 4.0, 1e9)  # no noise, no converters, a range without end
     no_controller = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
@@ -70,14 +70,13 @@ def arm_open_loop():
         z = np.ascontiguousarray(z, dtype=float)
         z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
         state, out = np.array(start, dtype=float), np.empty((len(z), len(closed_loop.LOGGED)))
-        if m is None:
-            m = np.empty(memory.SIZE)
-            memory.start(c, state, m)
-        ended, n = closed_loop.run(
-            c, sensors, state, m, no_controller, no_controller, np.zeros((2, 1, 2)), closed_loop.plain_wiring(2),
-            np.zeros((len(z), 2)), z,
-            closed_loop.CONTROL, False, tick_s, period_ticks, dead_zone, solver, steps, 1, out,
-        )  # fmt: skip
+        arm = closed_loop.at_rest(c, state)
+        if m is not None:
+            arm = arm._replace(m=m)
+        loops = closed_loop.plain_controllers(no_controller, no_controller)
+        inputs = closed_loop.Inputs(np.zeros((len(z), 2)), z, closed_loop.CONTROL, False, 1)
+        pwm = closed_loop.Pwm(tick_s, period_ticks, dead_zone)
+        ended, n = closed_loop.run(arm, sensors, loops, inputs, pwm, solver, steps, out)
         assert (ended, n) == (closed_loop.COMPLETE, len(z))
         return out, state
 

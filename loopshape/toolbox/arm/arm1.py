@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array, deg, rad
 from loopshape.data.control.controller import Block
 from loopshape.data.signal.channel import Channel
@@ -17,12 +16,11 @@ from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.arm.dynamics import closed_loop as kernel
-from loopshape.toolbox.arm.dynamics import memory
 from loopshape.toolbox.arm.dynamics.equilibrium import pressures, rest
 from loopshape.toolbox.arm.effect import following
 from loopshape.toolbox.arm.effect.effects import FORMS, SPREAD
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, constants, sensor_constants
-from loopshape.toolbox.arm.simulation import Arm
+from loopshape.toolbox.arm.simulation import Arm, Driven
 
 SOLVERS = {"edges": kernel.EDGES, "grid": kernel.GRID}
 _DEFAULTS: dict[str, tuple[Block, ...]] = {
@@ -139,14 +137,11 @@ class Arm1(Arm):
             )
 
     def _integrated(
-        self, vector: Array, e: Experiment, signals: tuple[Any, ...], solver: str, steps: int, out: Array
+        self, vector: Array, e: Experiment, how: Driven, solver: str, steps: int, out: Array
     ) -> tuple[int, int]:
         c = constants(vector)
         x = rest(c, e.operating_point["theta2_deg"], e.operating_point["p_ab_bar"], float(c[P_IN]))
-        m = np.empty(memory.SIZE)
-        memory.start(c, x, m)
-        how = (SOLVERS[solver], steps, start_state(e.seed), out)
-        return kernel.run(c, sensor_constants(vector), x, m, *(*signals, *how))
+        return kernel.run(kernel.at_rest(c, x), sensor_constants(vector), *how, SOLVERS[solver], steps, out)
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         columns = {"true_theta2_rad": logged["angle"], "true_velocity_rad_s": logged["velocity"]}

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array, rad
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import Experiment
@@ -14,7 +12,7 @@ from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
 from loopshape.toolbox.arm.dynamics.equilibrium2 import resting
 from loopshape.toolbox.arm.parameters import P_IN
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2, named, sensor_constants2
-from loopshape.toolbox.arm.simulation import Arm
+from loopshape.toolbox.arm.simulation import Arm, Driven
 from loopshape.toolbox.arm.strategies2 import DUAL, PAIRS, Strategy
 
 
@@ -74,11 +72,11 @@ class Arm2(Arm):
             )
 
     def _integrated(
-        self, vector: Array, e: Experiment, signals: tuple[Any, ...], solver: str, steps: int, out: Array
+        self, vector: Array, e: Experiment, how: Driven, solver: str, steps: int, out: Array
     ) -> tuple[int, int]:
         c = constants2(vector, self.strategy.shared)
         x = self._rest(c, e.operating_point)
-        return kernel.run2(c, sensor_constants2(vector), x, *(*signals, steps, start_state(e.seed), out))
+        return kernel.run2(c, sensor_constants2(vector), x, *how, steps, out)
 
     def _states(self, logged: Mapping[str, Array]) -> dict[str, Array]:
         columns = {f"true_theta{j}_rad": logged[f"angle{j}"] for j in (1, 2)}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.gain_scheduled import Follows
@@ -18,6 +18,8 @@ from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.arm.dynamics import closed_loop as kernel
 from loopshape.toolbox.gap.nouns.plant import ParameterTable
 
+#: what drives an arm: its controllers, what goes in, and the pulses
+Driven = tuple[kernel.Controllers, kernel.Inputs, kernel.Pwm]
 INJECTIONS = {
     "controller_input": kernel.CONTROLLER_INPUT,
     "plant_input": kernel.PLANT_INPUT,
@@ -114,27 +116,19 @@ class Arm:
 
     def _run(self, e: Experiment, solver: str, changes: dict[str, float], steps: int, states: bool) -> Recording:
         vector = self.parameters.vector({f"pwm_{k}": float(v) for k, v in e.pwm.items()} | changes | dict(e.parameters))
-        controllers = [sections(loop, e) for loop in e.loops]
-        state = np.zeros((len(controllers), max(b.shape[0] for b in controllers), 2))
         injected = np.ascontiguousarray(e.injected)
         injected.setflags(write=False)  # one kind of array, one compiled kernel
-        loops = (
-            *controllers,
-            state,
-            wiring(e.loops),
-            np.ascontiguousarray(e.references * np.array(self.to_si)),
-            injected,
-        )
+        references = np.ascontiguousarray(e.references * np.array(self.to_si))
+        inputs = kernel.Inputs(references, injected, INJECTIONS[e.injection], e.closed_loop, start_state(e.seed))
         ticks = period_ticks(e.rate_hz, self._value(vector, "pwm_frequency_hz"))
-        pwm = (1.0 / e.rate_hz, ticks, self._value(vector, "pwm_dead_zone"))
+        pwm = kernel.Pwm(1.0 / e.rate_hz, ticks, self._value(vector, "pwm_dead_zone"))
         out = np.empty((e.samples, len(self.logged) if states else self.measured))
-        how = (INJECTIONS[e.injection], e.closed_loop, *pwm)
-        ended, n = self._integrated(vector, e, (*loops, *how), solver, steps, out)
+        ended, n = self._integrated(vector, e, (controllers(e), inputs, pwm), solver, steps, out)
         early = None if ended == kernel.COMPLETE else f"{ENDED[ended]} at {n / e.rate_hz:.3f} s"
         return Recording(RecordingInfo.of(e, early), e.rate_hz, self._columns(e, out[:n]))
 
     def _integrated(
-        self, vector: Array, e: Experiment, signals: tuple[Any, ...], solver: str, steps: int, out: Array
+        self, vector: Array, e: Experiment, how: Driven, solver: str, steps: int, out: Array
     ) -> tuple[int, int]:
         """Run the kernel into `out`; gives why it ended and how many rows are filled."""
         raise NotImplementedError
@@ -176,14 +170,17 @@ def period_ticks(rate_hz: float, pwm_hz: float) -> int:
     return round(ticks)
 
 
-def wiring(loops: Sequence[LoopSetup]) -> kernel.Wiring:
-    """Schedules and decoupling of the loops, as the kernels take them beside the controllers."""
+def controllers(e: Experiment) -> kernel.Controllers:
+    """The loops' controllers with their schedules and decoupling, as the kernels take them."""
+    loops = e.loops
     signals = [(loop.name, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in loops]
-    plain = kernel.plain_wiring(len(loops)).schedules
+    plain = kernel.plain_controllers(*(sections(loop, e) for loop in loops))
     made = tuple(
-        loop.schedule.tables(signals) if loop.schedule else none for loop, none in zip(loops, plain, strict=True)
+        loop.schedule.tables(signals) if loop.schedule else none
+        for loop, none in zip(loops, plain.schedules, strict=True)
     )
-    return kernel.Wiring(made, np.array([loop.schedule is not None for loop in loops]), decoupling_matrix(loops))
+    scheduled = np.array([loop.schedule is not None for loop in loops])
+    return plain._replace(schedules=made, scheduled=scheduled, decoupling=decoupling_matrix(loops))
 
 
 def sections(loop: LoopSetup, e: Experiment) -> Array:

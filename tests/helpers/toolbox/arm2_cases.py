@@ -5,7 +5,7 @@ from bench_nouns import Experiment
 from simulated_machines import ARM2_PARAMETERS, Arm2, Sensors, constants2
 
 from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
-from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROL, plain_wiring
+from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROL, Inputs, Pwm, plain_controllers
 
 ARM = Arm2()
 MIDDLE = (0.0, 0.0, 0.4, 0.4)  # deg, deg, bar, bar
@@ -43,9 +43,7 @@ def open_loop(c, start, z, steps=1, tick_s=1e-3, period_ticks=20):
     z = np.ascontiguousarray(z, dtype=float)
     z.setflags(write=False)  # as an experiment's, so that one compiled kernel serves both
     state, out = np.array(start, dtype=float), np.empty((len(z), len(kernel.LOGGED)))
-    ended, n = kernel.run2(
-        c, sensors, state, *[no_controller] * 4, np.zeros((4, 1, 2)), plain_wiring(4), np.zeros((len(z), 4)), z,
-        CONTROL, False, tick_s, period_ticks, 0.01, steps, 1, out,
-    )  # fmt: skip
+    loops, inputs = plain_controllers(*[no_controller] * 4), Inputs(np.zeros((len(z), 4)), z, CONTROL, False, 1)
+    ended, n = kernel.run2(c, sensors, state, loops, inputs, Pwm(tick_s, period_ticks, 0.01), steps, out)
     assert (ended, n) == (COMPLETE, len(z))
     return out, state

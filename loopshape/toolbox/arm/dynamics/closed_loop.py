@@ -17,8 +17,9 @@ import numpy as np
 from loopshape.core.kernels import biquads, noise, scheduled
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
-from loopshape.toolbox.arm.dynamics import memory, model, pwm, valves
-from loopshape.toolbox.arm.dynamics.model import called, in_line, moving
+from loopshape.toolbox.arm.dynamics import memory, model, valves
+from loopshape.toolbox.arm.dynamics.model import State, Valves, called, in_line, moving
+from loopshape.toolbox.arm.dynamics.pwm import is_open
 from loopshape.toolbox.arm.effect import effect_parameters as e
 from loopshape.toolbox.arm.parameters import Sensors
 
@@ -33,29 +34,76 @@ MEASURED = 7
 LOWEST_PA, WIDEST = 5e2, 1.2  # a followed state stays inside: a wrong hypothesis shall err, not break
 
 
-class Wiring(NamedTuple):
-    """Schedules of the controllers, which of them there are, and the matrix between the controllers and the plant.
+class Mechanism(NamedTuple):
+    """An arm under way: constants, state (7,), memory (32,), what it holds (16,), the valves' schedule and edges."""
 
-    A schedule may follow the references, then the outputs, of all loops in stored units.
+    c: Array
+    x: Array
+    m: Array
+    held: Array
+    schedule: Array
+    edges: Array
+
+
+class Controllers(NamedTuple):
+    """The loops' controllers: biquads (n, 5) of each and the states (loops, n, 2) of all, or a schedule.
+
+    `scheduled` says whose schedule it is that answers, which may follow the references, then the outputs, of all loops
+    in stored units. `decoupling` is the matrix between the controllers and the plant.
     """
 
+    sections: tuple[Array, ...]
+    state: Array
     schedules: tuple[scheduled.Scheduled, ...]
     scheduled: np.ndarray
     decoupling: Array
 
 
-def plain_wiring(loops: int) -> Wiring:
+class Inputs(NamedTuple):
+    """What goes in: references and what is injected (n, loops), where, whether the loops are closed; the noise's state.
+
+    References are in rad and Pa. Of open loops the injected signals are what the controllers would answer.
+    """
+
+    references: Array
+    injected: Array
+    injection: int
+    closed: bool
+    random_state: int
+
+
+class Pwm(NamedTuple):
+    """A controller's tick in s, how many of them are a period, and the size up to which a command opens nothing."""
+
+    tick_s: float
+    period_ticks: int
+    dead_zone: float
+
+
+def at_rest(c: Array, x: Array) -> Mechanism:
+    """An arm that has long rested in the state `x` (7,), which moves in place."""
+    m, held = np.empty(memory.SIZE), np.zeros(model.HELD)
+    memory.start(c, x, m)
+    held[model.COULOMB] = c[e.COULOMB]
+    return Mechanism(c, x, m, held, np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES))
+
+
+def plain_controllers(*sections: Array) -> Controllers:
     """Controllers that stay as they are, each straight on its own input."""
-    return Wiring((scheduled.none(2 * loops),) * loops, np.zeros(loops, dtype=bool), np.eye(loops))
+    loops = len(sections)
+    state = np.zeros((loops, max(len(one) for one in sections), 2))
+    return Controllers(
+        sections, state, (scheduled.none(2 * loops),) * loops, np.zeros(loops, dtype=bool), np.eye(loops)
+    )
 
 
 @compiled
-def by_schedules(wiring: Wiring, signals: Array, errors: Array, z: Array) -> None:
+def by_schedules(loops: Controllers, signals: Array, errors: Array, z: Array) -> None:
     """Replace what the loops' controllers answer, `z`, where a loop has a schedule."""
     for k in range(z.size):
-        if wiring.scheduled[k]:
-            scheduled.follow(wiring.schedules[k], signals)
-            z[k] = scheduled.step(wiring.schedules[k], errors[k])
+        if loops.scheduled[k]:
+            scheduled.follow(loops.schedules[k], signals)
+            z[k] = scheduled.step(loops.schedules[k], errors[k])
 
 
 @in_line
@@ -68,42 +116,36 @@ def decoupled(matrix: Array, v: Array, out: Array) -> None:
 
 
 @in_line
-def step_rk4(c: Array, held: Array, x: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float) -> None:
+def ahead(s: State, h: float, k: State) -> State:
+    """A state h s on at the rates `k`."""
+    return (
+        s[0] + h * k[0], s[1] + h * k[1], s[2] + h * k[2], s[3] + h * k[3], s[4] + h * k[4], s[5] + h * k[5],
+        s[6] + h * k[6],
+    )  # fmt: skip
+
+
+@in_line
+def step_rk4(c: Array, held: Array, x: Array, h: float, areas: Valves) -> None:
     """One classical Runge-Kutta step of length h s with the valves as given; `x` (7,) moves in place."""
-    c0, a0, b0, q0, w0, s0, v0 = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
-    k1c, k1a, k1b, k1w, k1v = moving(c, held, c0, a0, b0, q0, w0, s0, v0, in_a, in_b, out_a, out_b)
-    half = 0.5 * h
-    w2, v2 = w0 + half * k1w, v0 + half * k1v
-    k2c, k2a, k2b, k2w, k2v = moving(
-        c, held, c0 + half * k1c, a0 + half * k1a, b0 + half * k1b, q0 + half * w0, w2, s0 + half * v0, v2,
-        in_a, in_b, out_a, out_b,
-    )  # fmt: skip
-    w3, v3 = w0 + half * k2w, v0 + half * k2v
-    k3c, k3a, k3b, k3w, k3v = moving(
-        c, held, c0 + half * k2c, a0 + half * k2a, b0 + half * k2b, q0 + half * w2, w3, s0 + half * v2, v3,
-        in_a, in_b, out_a, out_b,
-    )  # fmt: skip
-    w4, v4 = w0 + h * k3w, v0 + h * k3v
-    k4c, k4a, k4b, k4w, k4v = moving(
-        c, held, c0 + h * k3c, a0 + h * k3a, b0 + h * k3b, q0 + h * w3, w4, s0 + h * v3, v4,
-        in_a, in_b, out_a, out_b,
-    )  # fmt: skip
+    s = x[0], x[1], x[2], x[3], x[4], x[5], x[6]
+    k1 = moving(c, held, s, areas)
+    k2 = moving(c, held, ahead(s, 0.5 * h, k1), areas)
+    k3 = moving(c, held, ahead(s, 0.5 * h, k2), areas)
+    k4 = moving(c, held, ahead(s, h, k3), areas)
     sixth = h / 6.0
-    x[0] = c0 + sixth * (k1c + 2.0 * (k2c + k3c) + k4c)
-    x[1] = a0 + sixth * (k1a + 2.0 * (k2a + k3a) + k4a)
-    x[2] = b0 + sixth * (k1b + 2.0 * (k2b + k3b) + k4b)
-    x[3] = q0 + sixth * (w0 + 2.0 * (w2 + w3) + w4)
-    x[4] = w0 + sixth * (k1w + 2.0 * (k2w + k3w) + k4w)
-    x[5] = s0 + sixth * (v0 + 2.0 * (v2 + v3) + v4)
-    x[6] = v0 + sixth * (k1v + 2.0 * (k2v + k3v) + k4v)
+    x[0] = s[0] + sixth * (k1[0] + 2.0 * (k2[0] + k3[0]) + k4[0])
+    x[1] = s[1] + sixth * (k1[1] + 2.0 * (k2[1] + k3[1]) + k4[1])
+    x[2] = s[2] + sixth * (k1[2] + 2.0 * (k2[2] + k3[2]) + k4[2])
+    x[3] = s[3] + sixth * (k1[3] + 2.0 * (k2[3] + k3[3]) + k4[3])
+    x[4] = s[4] + sixth * (k1[4] + 2.0 * (k2[4] + k3[4]) + k4[4])
+    x[5] = s[5] + sixth * (k1[5] + 2.0 * (k2[5] + k3[5]) + k4[5])
+    x[6] = s[6] + sixth * (k1[6] + 2.0 * (k2[6] + k3[6]) + k4[6])
 
 
 @called
-def integrate_edges(
-    c: Array, held: Array, x: Array, m: Array, start_s: float, end_s: float, steps: int, schedule: Array,
-    edges: Array, n_edges: int,
-) -> None:  # fmt: skip
+def integrate_edges(arm: Mechanism, start_s: float, end_s: float, steps: int, n_edges: int) -> None:
     """Integrate from `start_s` to `end_s` of a PWM period in `steps`, splitting each where a valve moves."""
+    c, x, m, held = arm.c, arm.x, arm.m, arm.held
     h = (end_s - start_s) / steps
     for k in range(steps):
         now = start_s + k * h
@@ -111,89 +153,48 @@ def integrate_edges(
         while now < end:
             stop = end
             for j in range(n_edges):
-                if now < edges[j] < stop:
-                    stop = edges[j]
+                if now < arm.edges[j] < stop:
+                    stop = arm.edges[j]
             middle = 0.5 * (now + stop)
-            in_a, in_b, out_a, out_b = valves.areas(c, schedule, middle)
+            areas = valves.areas(c, arm.schedule, middle)
             if c[e.MEMORY] > 0.0:
-                memory.hold(c, x, m, held, stop - now, in_a, in_b, out_a, out_b)
-            step_rk4(c, held, x, stop - now, in_a, in_b, out_a, out_b)
+                memory.hold(c, x, m, held, stop - now, areas)
+            step_rk4(c, held, x, stop - now, areas)
             if c[e.MEMORY] > 0.0:
                 memory.move_on(c, x, m, held, stop - now)
             now = stop
 
 
 @called
-def grid_derivatives(
-    c: Array, held: Array, p_c: float, p_a: float, p_b: float, angle: float, velocity: float,
-    phase: float, u_a: float, u_b: float, dead_zone: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """Right-hand side with the valves looked up at `phase` of the PWM period."""
-    open_a = 1.0 if pwm.is_open(u_a, phase, dead_zone) else 0.0
-    open_b = 1.0 if pwm.is_open(u_b, phase, dead_zone) else 0.0
-    d_c, d_a, d_b, turn, _ = moving(
-        c, held, p_c, p_a, p_b, angle, velocity, angle, velocity,
-        open_a if u_a > 0.0 else 0.0, open_b if u_b > 0.0 else 0.0,
-        open_a if u_a < 0.0 else 0.0, open_b if u_b < 0.0 else 0.0,
+def grid_rates(c: Array, held: Array, s: State, phase: float, u: tuple[float, float], dead_zone: float) -> State:
+    """Rates of a state with a stiff coupling, with the valves looked up at `phase` of the PWM period."""
+    open_a = 1.0 if is_open(u[0], phase, dead_zone) else 0.0
+    open_b = 1.0 if is_open(u[1], phase, dead_zone) else 0.0
+    areas = (
+        open_a if u[0] > 0.0 else 0.0, open_b if u[1] > 0.0 else 0.0,
+        open_a if u[0] < 0.0 else 0.0, open_b if u[1] < 0.0 else 0.0,
     )  # fmt: skip
-    return d_c, d_a, d_b, turn
+    return moving(c, held, (s[0], s[1], s[2], s[3], s[4], s[3], s[4]), areas)
 
 
 @called
 def integrate_grid(
-    c: Array,
-    held: Array,
-    x: Array,
-    start_s: float,
-    end_s: float,
-    steps: int,
-    u_a: float,
-    u_b: float,
-    period_s: float,
-    dead_zone: float,
+    c: Array, held: Array, x: Array, start_s: float, end_s: float, steps: int, u: tuple[float, float], pwm: Pwm
 ) -> None:
     """Integrate by Bogacki and Shampine's third-order method, valves looked up at 0, 1/2 and 3/4 of a step."""
-    h = (end_s - start_s) / steps
+    h, period_s, dead_zone = (end_s - start_s) / steps, pwm.period_ticks * pwm.tick_s, pwm.dead_zone
     for k in range(steps):
         now = start_s + k * h
-        c0, a0, b0, q0, w0 = x[0], x[1], x[2], x[3], x[4]
-        k1c, k1a, k1b, k1w = grid_derivatives(c, held, c0, a0, b0, q0, w0, now / period_s, u_a, u_b, dead_zone)
-        s = 0.5 * h
-        w2 = w0 + s * k1w
-        k2c, k2a, k2b, k2w = grid_derivatives(
-            c,
-            held,
-            c0 + s * k1c,
-            a0 + s * k1a,
-            b0 + s * k1b,
-            q0 + s * w0,
-            w2,
-            (now + s) / period_s,
-            u_a,
-            u_b,
-            dead_zone,
-        )
-        s = 0.75 * h
-        w3 = w0 + s * k2w
-        k3c, k3a, k3b, k3w = grid_derivatives(
-            c,
-            held,
-            c0 + s * k2c,
-            a0 + s * k2a,
-            b0 + s * k2b,
-            q0 + s * w2,
-            w3,
-            (now + s) / period_s,
-            u_a,
-            u_b,
-            dead_zone,
-        )
+        s = x[0], x[1], x[2], x[3], x[4], x[3], x[4]
+        k1 = grid_rates(c, held, s, now / period_s, u, dead_zone)
+        k2 = grid_rates(c, held, ahead(s, 0.5 * h, k1), (now + 0.5 * h) / period_s, u, dead_zone)
+        k3 = grid_rates(c, held, ahead(s, 0.75 * h, k2), (now + 0.75 * h) / period_s, u, dead_zone)
         ninth = h / 9.0
-        x[0] = c0 + ninth * (2.0 * k1c + 3.0 * k2c + 4.0 * k3c)
-        x[1] = a0 + ninth * (2.0 * k1a + 3.0 * k2a + 4.0 * k3a)
-        x[2] = b0 + ninth * (2.0 * k1b + 3.0 * k2b + 4.0 * k3b)
-        x[3] = q0 + ninth * (2.0 * w0 + 3.0 * w2 + 4.0 * w3)
-        x[4] = w0 + ninth * (2.0 * k1w + 3.0 * k2w + 4.0 * k3w)
+        x[0] = s[0] + ninth * (2.0 * k1[0] + 3.0 * k2[0] + 4.0 * k3[0])
+        x[1] = s[1] + ninth * (2.0 * k1[1] + 3.0 * k2[1] + 4.0 * k3[1])
+        x[2] = s[2] + ninth * (2.0 * k1[2] + 3.0 * k2[2] + 4.0 * k3[2])
+        x[3] = s[3] + ninth * (2.0 * k1[3] + 3.0 * k2[3] + 4.0 * k3[3])
+        x[4] = s[4] + ninth * (2.0 * k1[4] + 3.0 * k2[4] + 4.0 * k3[4])
 
 
 @in_line
@@ -225,13 +226,8 @@ def sense(
 
 
 @in_line
-def log(
-    out: Array, tick: int, theta: float, p_a: float, p_b: float, z_theta: float, z_p: float, u_a: float, u_b: float,
-    x: Array,
-) -> None:  # fmt: skip
-    """One row of the log; the true states too where `out` has room for them."""
-    out[tick, 0], out[tick, 1], out[tick, 2] = theta, p_a, p_b
-    out[tick, 3], out[tick, 4], out[tick, 5], out[tick, 6] = z_theta, z_p, u_a, u_b
+def log_states(x: Array, out: Array, tick: int) -> None:
+    """The true states in a row of the log, where it has room for them."""
     if out.shape[1] > MEASURED:
         out[tick, 7], out[tick, 8], out[tick, 9], out[tick, 10], out[tick, 11] = x[3], x[4], x[1], x[2], x[0]
 
@@ -265,37 +261,20 @@ def late(commands: Array, column: int, tick: int, delay_ticks: float) -> float:
 
 @compiled
 def run(
-    c: Array,
-    sensors: Sensors,
-    x: Array,
-    m: Array,
-    biquads_theta: Array,
-    biquads_p: Array,
-    controller_state: Array,
-    wiring: Wiring,
-    references: Array,
-    injected: Array,
-    injection: int,
-    closed: bool,
-    tick_s: float,
-    period_ticks: int,
-    dead_zone: float,
-    solver: int,
-    steps: int,
-    random_state: int,
-    out: Array,
+    arm: Mechanism, sensors: Sensors, loops: Controllers, inputs: Inputs, pwm: Pwm, solver: int, steps: int, out: Array
 ) -> tuple[int, int]:
-    """Simulate as many ticks as `references` (n, 2: rad, Pa) has; fills `out` (n, 7 or 12) by `LOGGED`.
+    """Simulate as many ticks as there are references (n, 2: rad, Pa); fills `out` (n, 7 or 12) by `LOGGED`.
 
-    `x` (7,), the memory `m` (32,), `controller_state` (2, sections, 2) and the schedules of `wiring` move in place.
-    Gives why it ended and how many ticks are logged. Sensor spans: the angle is centred, the pressure starts at 0;
-    beyond them the converters clip.
+    The arm, the controllers and their schedules move in place. Gives why it ended and how many ticks are logged.
+    Sensor spans: the angle is centred, the pressure starts at 0; beyond them the converters clip.
     """
+    c, x, m, held, schedule, edges = arm  # here: in the loop each reference would be counted
+    references, injected, random_state = inputs.references, inputs.injected, inputs.random_state
+    biquads_theta, biquads_p, state, matrix = loops.sections[0], loops.sections[1], loops.state, loops.decoupling
+    tick_s, period_ticks = pwm.tick_s, pwm.period_ticks
     period_s = period_ticks * tick_s
-    held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES)
-    held[model.COULOMB] = c[e.COULOMB]
     signals, errors, v, entering = np.zeros(4), np.zeros(2), np.zeros(2), np.zeros(2)
-    follows = wiring.scheduled.any()
+    follows = loops.scheduled.any()
     n_edges, u_a, u_b = 0, 0.0, 0.0
     slack, has_spare = 0.0, False
     for tick in range(references.shape[0]):
@@ -303,34 +282,35 @@ def run(
         theta, p_a, p_b, random_state, slack, has_spare = sense(
             true, true_a, true_b, sensors, random_state, slack, has_spare
         )
-        if closed:
+        if inputs.closed:
             errors[0] = references[tick, 0] - theta
             errors[1] = 1e-5 * (references[tick, 1] - (p_a + p_b))
-            if injection == CONTROLLER_INPUT:
+            if inputs.injection == CONTROLLER_INPUT:
                 errors += injected[tick]
-            v[0] = biquads.step(biquads_theta, controller_state[0], errors[0])
-            v[1] = biquads.step(biquads_p, controller_state[1], errors[1])
+            v[0] = biquads.step(biquads_theta, state[0], errors[0])
+            v[1] = biquads.step(biquads_p, state[1], errors[1])
             if follows:
                 signals[0], signals[1] = references[tick, 0], 1e-5 * references[tick, 1]
                 signals[2], signals[3] = theta, 1e-5 * (p_a + p_b)
-                by_schedules(wiring, signals, errors, v)
+                by_schedules(loops, signals, errors, v)
         else:
             v[0], v[1] = injected[tick, 0], injected[tick, 1]
-        z_theta, z_p = v[0], v[1]
-        if closed and injection == PLANT_INPUT:
+        out[tick, 0], out[tick, 1], out[tick, 2], out[tick, 3], out[tick, 4] = theta, p_a, p_b, v[0], v[1]
+        if inputs.closed and inputs.injection == PLANT_INPUT:
             v += injected[tick]
-        decoupled(wiring.decoupling, v, entering)
+        decoupled(matrix, v, entering)
+        out[tick, 5], out[tick, 6] = entering[0] + entering[1], entering[1] - entering[0]
+        log_states(x, out, tick)
 
-        log(out, tick, theta, p_a, p_b, z_theta, z_p, entering[0] + entering[1], entering[1] - entering[0], x)
         phase = tick % period_ticks
         if phase == 0:
             u_a, u_b = late(out, 5, tick, c[e.LOOP_DELAY] / tick_s), late(out, 6, tick, c[e.LOOP_DELAY] / tick_s)
-            n_edges = valves.plan_period(c, schedule, edges, u_a, u_b, period_s, dead_zone)
+            n_edges = valves.plan_period(c, schedule, edges, u_a, u_b, period_s, pwm.dead_zone)
         start, end = phase * tick_s, (phase + 1) * tick_s
         if solver == EDGES:
-            integrate_edges(c, held, x, m, start, end, steps, schedule, edges, n_edges)
+            integrate_edges(arm, start, end, steps, n_edges)
         else:
-            integrate_grid(c, held, x, start, end, steps, u_a, u_b, period_s, dead_zone)
+            integrate_grid(c, held, x, start, end, steps, (u_a, u_b), pwm)
         ended = range_left(x, sensors)
         if ended != COMPLETE:
             return ended, tick + 1
@@ -338,46 +318,32 @@ def run(
 
 
 @compiled
-def follow(
-    c: Array,
-    x: Array,
-    m: Array,
-    commands: Array,
-    measured: Array,
-    first_gains: Array,
-    gains: Array,
-    lead: int,
-    tick_s: float,
-    stride: int,
-    period_ticks: int,
-    dead_zone: float,
-    out: Array,
-) -> None:
+def follow(arm: Mechanism, commands: Array, measured: Array, gains: Array, lead: int, pwm: Pwm, stride: int) -> Array:
     """The arm driven by logged commands (n, 2: u_A, u_B), pulled towards what was measured (rows, 3: rad, Pa, Pa).
 
-    A row is `stride` ticks, one step between the valves' edges. Gains (3,) per row: pressures, angle, and velocity
-    per angle in 1/s; zero leaves the model to itself; the first `lead` rows have their own. Fills `out` (rows, 3)
-    with the sensors' answers before each pull.
+    A row is `stride` ticks, one step between the valves' edges. Gains (2, 3) per row, of the first `lead` rows and of
+    the others: pressures, angle, and velocity per angle in 1/s; zero leaves the model to itself. Gives the sensors'
+    answers (rows, 3) before each pull.
     """
-    period_s, row_s = period_ticks * tick_s, stride * tick_s
-    held, schedule, edges = np.zeros(model.HELD), np.zeros(2 * valves.EACH), np.empty(valves.MOST_EDGES)
-    held[model.COULOMB] = c[e.COULOMB]
-    delay = c[e.LOOP_DELAY] / tick_s
+    c, x, m, out = arm.c, arm.x, arm.m, np.empty_like(measured)
+    period_s, row_s = pwm.period_ticks * pwm.tick_s, stride * pwm.tick_s
+    delay = c[e.LOOP_DELAY] / pwm.tick_s
     n_edges = 0
     for row in range(measured.shape[0]):
         theta, p_a, p_b = memory.sensed(c, x, m, row_s)
         out[row, 0], out[row, 1], out[row, 2] = theta, p_a, p_b
         off = measured[row, 0] - theta
-        g = first_gains if row < lead else gains
+        g = gains[0] if row < lead else gains[1]
         x[1] += g[0] * (measured[row, 1] - p_a)
         x[2] += g[0] * (measured[row, 2] - p_b)
         x[3] += g[1] * off
         x[4] += g[2] * off
         x[1], x[2] = max(x[1], LOWEST_PA), max(x[2], LOWEST_PA)
         x[3] = min(max(x[3], -WIDEST), WIDEST)
-        phase = (row * stride) % period_ticks
+        phase = (row * stride) % pwm.period_ticks
         if phase == 0:
             u_a, u_b = late(commands, 0, row * stride, delay), late(commands, 1, row * stride, delay)
-            n_edges = valves.plan_period(c, schedule, edges, u_a, u_b, period_s, dead_zone)
-        start = phase * tick_s
-        integrate_edges(c, held, x, m, start, start + row_s, 1, schedule, edges, n_edges)
+            n_edges = valves.plan_period(c, arm.schedule, arm.edges, u_a, u_b, period_s, pwm.dead_zone)
+        start = phase * pwm.tick_s
+        integrate_edges(arm, start, start + row_s, 1, n_edges)
+    return out

@@ -14,7 +14,6 @@ import numpy as np
 from loopshape.core.kernels import biquads, noise
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
-from loopshape.toolbox.arm.dynamics import pwm
 from loopshape.toolbox.arm.dynamics.closed_loop import (
     COMPLETE,
     CONTROLLER_INPUT,
@@ -23,13 +22,16 @@ from loopshape.toolbox.arm.dynamics.closed_loop import (
     LEFT_THETA2,
     NOT_FINITE,
     PLANT_INPUT,
-    Wiring,
+    Controllers,
+    Inputs,
+    Pwm,
     by_schedules,
     converted,
     decoupled,
 )
 from loopshape.toolbox.arm.dynamics.model import called, in_line
-from loopshape.toolbox.arm.dynamics.model2 import moving2
+from loopshape.toolbox.arm.dynamics.model2 import Four, State2, moving2
+from loopshape.toolbox.arm.dynamics.pwm import pulse_s
 from loopshape.toolbox.arm.parameters import Sensors
 from loopshape.toolbox.arm.parameters2 import SHARED
 
@@ -43,37 +45,33 @@ LOGGED = (
 LOOPS, Z, U, MEASURED, STATES = 4, 6, 10, 14, 9  # number of loops, places of z, u and true states, and their number
 
 
+@in_line
+def ahead2(s: State2, h: float, k: State2) -> State2:
+    """A state h s on at the rates `k`."""
+    return (
+        s[0] + h * k[0], s[1] + h * k[1], s[2] + h * k[2], s[3] + h * k[3], s[4] + h * k[4], s[5] + h * k[5],
+        s[6] + h * k[6], s[7] + h * k[7], s[8] + h * k[8],
+    )  # fmt: skip
+
+
 @called
-def step_rk4_2(c: Array, x: Array, h: float, v_a: float, v_b: float, v_c: float, v_d: float) -> None:
+def step_rk4_2(c: Array, x: Array, h: float, valves: Four) -> None:
     """One classical Runge-Kutta step of length h s with the valves as given; `x` (9,) moves in place."""
-    s0, a0, b0, c0, d0, q0, r0, w0, v0 = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8]
-    k1s, k1a, k1b, k1c, k1d, k1w, k1v = moving2(c, s0, a0, b0, c0, d0, q0, r0, w0, v0, v_a, v_b, v_c, v_d)
-    half = 0.5 * h
-    w2, v2 = w0 + half * k1w, v0 + half * k1v
-    k2s, k2a, k2b, k2c, k2d, k2w, k2v = moving2(
-        c, s0 + half * k1s, a0 + half * k1a, b0 + half * k1b, c0 + half * k1c, d0 + half * k1d,
-        q0 + half * w0, r0 + half * v0, w2, v2, v_a, v_b, v_c, v_d,
-    )  # fmt: skip
-    w3, v3 = w0 + half * k2w, v0 + half * k2v
-    k3s, k3a, k3b, k3c, k3d, k3w, k3v = moving2(
-        c, s0 + half * k2s, a0 + half * k2a, b0 + half * k2b, c0 + half * k2c, d0 + half * k2d,
-        q0 + half * w2, r0 + half * v2, w3, v3, v_a, v_b, v_c, v_d,
-    )  # fmt: skip
-    w4, v4 = w0 + h * k3w, v0 + h * k3v
-    k4s, k4a, k4b, k4c, k4d, k4w, k4v = moving2(
-        c, s0 + h * k3s, a0 + h * k3a, b0 + h * k3b, c0 + h * k3c, d0 + h * k3d,
-        q0 + h * w3, r0 + h * v3, w4, v4, v_a, v_b, v_c, v_d,
-    )  # fmt: skip
+    s = x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8]
+    k1 = moving2(c, s, valves)
+    k2 = moving2(c, ahead2(s, 0.5 * h, k1), valves)
+    k3 = moving2(c, ahead2(s, 0.5 * h, k2), valves)
+    k4 = moving2(c, ahead2(s, h, k3), valves)
     sixth = h / 6.0
-    x[0] = s0 + sixth * (k1s + 2.0 * (k2s + k3s) + k4s)
-    x[1] = a0 + sixth * (k1a + 2.0 * (k2a + k3a) + k4a)
-    x[2] = b0 + sixth * (k1b + 2.0 * (k2b + k3b) + k4b)
-    x[3] = c0 + sixth * (k1c + 2.0 * (k2c + k3c) + k4c)
-    x[4] = d0 + sixth * (k1d + 2.0 * (k2d + k3d) + k4d)
-    x[5] = q0 + sixth * (w0 + 2.0 * (w2 + w3) + w4)
-    x[6] = r0 + sixth * (v0 + 2.0 * (v2 + v3) + v4)
-    x[7] = w0 + sixth * (k1w + 2.0 * (k2w + k3w) + k4w)
-    x[8] = v0 + sixth * (k1v + 2.0 * (k2v + k3v) + k4v)
+    x[0] = s[0] + sixth * (k1[0] + 2.0 * (k2[0] + k3[0]) + k4[0])
+    x[1] = s[1] + sixth * (k1[1] + 2.0 * (k2[1] + k3[1]) + k4[1])
+    x[2] = s[2] + sixth * (k1[2] + 2.0 * (k2[2] + k3[2]) + k4[2])
+    x[3] = s[3] + sixth * (k1[3] + 2.0 * (k2[3] + k3[3]) + k4[3])
+    x[4] = s[4] + sixth * (k1[4] + 2.0 * (k2[4] + k3[4]) + k4[4])
+    x[5] = s[5] + sixth * (k1[5] + 2.0 * (k2[5] + k3[5]) + k4[5])
+    x[6] = s[6] + sixth * (k1[6] + 2.0 * (k2[6] + k3[6]) + k4[6])
+    x[7] = s[7] + sixth * (k1[7] + 2.0 * (k2[7] + k3[7]) + k4[7])
+    x[8] = s[8] + sixth * (k1[8] + 2.0 * (k2[8] + k3[8]) + k4[8])
 
 
 @in_line
@@ -103,10 +101,11 @@ def integrate2(c: Array, x: Array, start_s: float, end_s: float, steps: int, u: 
             stop = earlier(closes[1], now, stop)
             stop = earlier(closes[2], now, stop)
             stop = earlier(closes[3], now, stop)
-            step_rk4_2(
-                c, x, stop - now, valves_at(u[0], closes[0], now), valves_at(u[1], closes[1], now),
+            valves = (
+                valves_at(u[0], closes[0], now), valves_at(u[1], closes[1], now),
                 valves_at(u[2], closes[2], now), valves_at(u[3], closes[3], now),
             )  # fmt: skip
+            step_rk4_2(c, x, stop - now, valves)
             now = stop
 
 
@@ -183,60 +182,44 @@ def range_left2(x: Array, sensors: Sensors) -> int:
 
 @compiled
 def run2(
-    c: Array,
-    sensors: Sensors,
-    x: Array,
-    biquads_theta1: Array,
-    biquads_theta2: Array,
-    biquads_p_a: Array,
-    biquads_p_c: Array,
-    controller_state: Array,
-    wiring: Wiring,
-    references: Array,
-    injected: Array,
-    injection: int,
-    closed: bool,
-    tick_s: float,
-    period_ticks: int,
-    dead_zone: float,
-    steps: int,
-    random_state: int,
-    out: Array,
+    c: Array, sensors: Sensors, x: Array, loops: Controllers, inputs: Inputs, pwm: Pwm, steps: int, out: Array
 ) -> tuple[int, int]:
-    """Simulate as many ticks as `references` (n, 4: rad, rad, Pa, Pa) has; fills `out` (n, 14 or 23) by `LOGGED`.
+    """Simulate as many ticks as there are references (n, 4: rad, rad, Pa, Pa); fills `out` (n, 14 or 23) by `LOGGED`.
 
-    `x` (9,), `controller_state` (4, sections, 2) and the schedules of `wiring` move in place. Gives why it ended and
-    how many ticks are logged.
+    `x` (9,), the controllers and their schedules move in place. Gives why it ended and how many ticks are logged.
     The constants' `SHARED` is the strategy: 1 measures and drives both muscles of a pair by its pressure loop, 0 one.
     Sensor spans: angles are centred, pressures start at 0; beyond them the converters clip.
     """
+    references, injected, random_state = inputs.references, inputs.injected, inputs.random_state
+    sections, state, matrix = loops.sections, loops.state, loops.decoupling
+    tick_s, period_ticks = pwm.tick_s, pwm.period_ticks
     u, closes, shared, signals = np.zeros(4), np.zeros(4), c[SHARED], np.zeros(2 * LOOPS)
-    errors, v, entering, follows = np.zeros(LOOPS), np.zeros(LOOPS), np.zeros(LOOPS), wiring.scheduled.any()
+    errors, v, entering, follows = np.zeros(LOOPS), np.zeros(LOOPS), np.zeros(LOOPS), loops.scheduled.any()
     for tick in range(references.shape[0]):
         random_state = sense2(x, sensors, random_state, out[tick])
-        if closed:
+        if inputs.closed:
             compare2(references, out, tick, shared, errors)
-            if injection == CONTROLLER_INPUT:
+            if inputs.injection == CONTROLLER_INPUT:
                 add(injected, tick, errors)
-            v[0] = biquads.step(biquads_theta1, controller_state[0], errors[0])
-            v[1] = biquads.step(biquads_theta2, controller_state[1], errors[1])
-            v[2] = biquads.step(biquads_p_a, controller_state[2], errors[2])
-            v[3] = biquads.step(biquads_p_c, controller_state[3], errors[3])
+            v[0] = biquads.step(sections[0], state[0], errors[0])
+            v[1] = biquads.step(sections[1], state[1], errors[1])
+            v[2] = biquads.step(sections[2], state[2], errors[2])
+            v[3] = biquads.step(sections[3], state[3], errors[3])
             if follows:
                 told2(references, out, tick, shared, signals)
-                by_schedules(wiring, signals, errors, v)
+                by_schedules(loops, signals, errors, v)
         else:
             v[0], v[1], v[2], v[3] = injected[tick, 0], injected[tick, 1], injected[tick, 2], injected[tick, 3]
         out[tick, Z], out[tick, Z + 1], out[tick, Z + 2], out[tick, Z + 3] = v[0], v[1], v[2], v[3]
-        if closed and injection == PLANT_INPUT:
+        if inputs.closed and inputs.injection == PLANT_INPUT:
             add(injected, tick, v)
-        decoupled(wiring.decoupling, v, entering)
+        decoupled(matrix, v, entering)
         log2(out, tick, entering, shared, x)
         phase = tick % period_ticks
         if phase == 0:
             for k in range(4):
                 u[k] = out[tick, U + k]
-                closes[k] = pwm.pulse_s(u[k], period_ticks * tick_s, dead_zone)
+                closes[k] = pulse_s(u[k], period_ticks * tick_s, pwm.dead_zone)
         integrate2(c, x, phase * tick_s, (phase + 1) * tick_s, steps, u, closes)
         ended = range_left2(x, sensors)
         if ended != COMPLETE:

@@ -14,7 +14,8 @@ LOWEST_BAR = 0.02
 
 def acceleration(c: Array, angle_rad: float, p_a_bar: float, p_b_bar: float) -> float:
     """Angular acceleration in rad/s2 of the arm at rest."""
-    return float(derivatives(c, 0.0, 1e5 * p_a_bar, 1e5 * p_b_bar, angle_rad, 0.0, False, False, False, False)[3])
+    state = (0.0, 1e5 * p_a_bar, 1e5 * p_b_bar, angle_rad, 0.0)
+    return float(derivatives(c, state, (False, False, False, False))[3])
 
 
 def pressures(c: Array, theta2_deg: float, p_ab_bar: float) -> tuple[float, float]:

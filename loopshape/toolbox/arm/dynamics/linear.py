@@ -66,13 +66,6 @@ class Linearisation:
         return float(kappa), hz(w), float(-a[1, 1] / (2.0 * w))
 
 
-def _rates(
-    c: Array, x: Array, in_a: bool = False, in_b: bool = False, out_a: bool = False, out_b: bool = False
-) -> tuple[float, float, float, float]:
-    p_c, p_a, p_b, angle, velocity = x[:5]
-    return derivatives(c, p_c, p_a, p_b, angle, velocity, in_a, in_b, out_a, out_b)
-
-
 def _quasi_static(c: Array) -> Array:
     """Constants of the arm with a stiff coupling and hoses that hold no air back; their volume stays."""
     c = c.copy()
@@ -89,7 +82,7 @@ def linearise(c: Array, theta2_deg: float, p_ab_bar: float) -> Linearisation:
     x = rest(c, theta2_deg, p_ab_bar, float(c[P_IN]))
 
     def shut(state: Array) -> Array:
-        d = _rates(c, state)
+        d = derivatives(c, tuple(state[:5]), (False, False, False, False))
         return np.array([state[4], d[3], 1e-5 * d[1], 1e-5 * d[2]])
 
     step = np.array([0.0, 10.0, 10.0, 1e-5, 1e-3, 0.0, 0.0])
@@ -98,9 +91,9 @@ def linearise(c: Array, theta2_deg: float, p_ab_bar: float) -> Linearisation:
         small = np.zeros(x.size)
         small[k] = step[k]
         columns.append((shut(x + small) - shut(x - small)) / (2.0 * step[k]) * unit)
-    fill = _rates(c, x, in_a=True)[1], _rates(c, x, in_b=True)[2]
-    out = _rates(c, x, out_a=True)[1], _rates(c, x, out_b=True)[2]
-    return Linearisation(np.array(columns).T, 1e-5 * np.array(fill), -1e-5 * np.array(out))
+    in_a, in_b, out_a, out_b = (derivatives(c, tuple(x[:5]), (k == 0, k == 1, k == 2, k == 3)) for k in range(4))
+    fill, exhaust = np.array([in_a[1], in_b[2]]), np.array([out_a[1], out_b[2]])
+    return Linearisation(np.array(columns).T, 1e-5 * fill, -1e-5 * exhaust)
 
 
 def ripple_gains(lin: Linearisation, mean_v: Array, amplitude_v: Array, dead_zone: float) -> Array:

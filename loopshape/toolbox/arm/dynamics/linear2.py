@@ -58,10 +58,10 @@ class Linearisation2:
         return tuple((hz(abs(root)), float(-root.real / abs(root))) for root in swinging)
 
 
-def _rates(c: Array, x: Array, *valves: bool) -> Array:
+def _rates(c: Array, x: Array, valves: tuple[bool, ...]) -> Array:
     """Rates (8,) of the linear states at a kernel's state (9,); `valves` are in A to D, out A to D."""
-    d = np.array(derivatives2(c, x, *valves))
-    return np.concatenate([x[7:9], d[5:7], 1e-5 * d[1:5]])
+    d = np.array(derivatives2(c, x, valves))
+    return np.concatenate([d[5:9], 1e-5 * d[1:5]])
 
 
 def linearise2(c: Array, theta1_deg: float, theta2_deg: float, p_a_bar: float, p_c_bar: float) -> Linearisation2:
@@ -83,8 +83,8 @@ def _about(c: Array, x: Array) -> Linearisation2:
     for place, step, unit in zip(_STATES, _STEPS, _UNITS, strict=True):
         small = np.zeros(x.size)
         small[place] = step * unit
-        columns.append((_rates(c, x + small, *shut) - _rates(c, x - small, *shut)) / (2.0 * step))
-    alone = [_rates(c, x, *(k == j for k in range(8))) for j in range(8)]
+        columns.append((_rates(c, x + small, shut) - _rates(c, x - small, shut)) / (2.0 * step))
+    alone = [_rates(c, x, tuple(k == j for k in range(8))) for j in range(8)]
     return Linearisation2(
         dynamics=np.array(columns).T,
         fill=np.array([alone[m][4 + m] for m in range(4)]),

@@ -13,7 +13,7 @@ import math
 from loopshape.core.units import Array
 from loopshape.toolbox.arm import parameters as k
 from loopshape.toolbox.arm.dynamics import model
-from loopshape.toolbox.arm.dynamics.model import called, in_line
+from loopshape.toolbox.arm.dynamics.model import Valves, called, in_line
 from loopshape.toolbox.arm.effect import effect_parameters as e
 
 #: places in the memory (32,): creep of A and B (3 branches), their Bouc-Wen elements, slip elements (4), Dahl, line's
@@ -126,9 +126,7 @@ def place(c: Array, held: Array, angle: float) -> None:
 
 
 @in_line
-def hold(
-    c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
-) -> None:
+def hold(c: Array, x: Array, m: Array, held: Array, h: float, valves: Valves) -> None:
     """Fill `held` (16,) for a step of h s from state `x` (7,); the air in the lines moves on."""
     angle, velocity = x[3], x[4]
     place(c, held, angle)
@@ -156,19 +154,17 @@ def hold(
         level = load * c[e.DAHL] * model.stribeck(c, velocity)
         held[model.TORQUE] -= level * (pull + c[e.DAHL_DAMPING] * velocity * slope)
         held[model.SLOPE] -= level * slope
-    hold_flows(c, x, m, held, h, in_a, in_b, out_a, out_b)
+    hold_flows(c, x, m, held, h, valves)
 
 
 @in_line
-def hold_flows(
-    c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
-) -> None:
+def hold_flows(c: Array, x: Array, m: Array, held: Array, h: float, valves: Valves) -> None:
     """Flows over the step out of the lines into A and B and from the supply into them, and the supply's drops."""
     if c[e.LINE] > 0.0:
-        hold_lines(c, x, m, held, h, in_a, in_b, out_a, out_b)
+        hold_lines(c, x, m, held, h, valves)
     elif c[e.DROP] > 0.0 or c[e.SPLIT] > 0.0:
         p_s = x[0] - held[model.SPLIT]
-        _, _, held[model.DRAIN] = model.valve_flows(c, p_s, x[1], x[2], in_a, in_b, out_a, out_b)
+        _, _, held[model.DRAIN] = model.valve_flows(c, p_s, x[1], x[2], valves)
     if c[e.DROP] > 0.0 or c[e.SPLIT] > 0.0:
         m[SUPPLY] = branch_on(m[SUPPLY], held[model.DRAIN], c[e.DROP_TIME], h)
         named = model.flow(c, c[k.BETA_S], c[k.P_IN], NAMED_PA)
@@ -177,21 +173,19 @@ def hold_flows(
 
 
 @in_line
-def hold_lines(
-    c: Array, x: Array, m: Array, held: Array, h: float, in_a: float, in_b: float, out_a: float, out_b: float
-) -> None:
+def hold_lines(c: Array, x: Array, m: Array, held: Array, h: float, valves: Valves) -> None:
     """Flows through lines over the step: the valves see the pressures and the lines' air at its middle.
 
     First they see those at its start, which tells those at its middle. Between, a line empties exponentially.
     """
     p_s = x[0] - held[model.SPLIT]
     rise_a, rise_b = rises(c, held[model.LENGTH_A], held[model.LENGTH_B])
-    lag_a, lag_b, net_a, net_b, drain = through(c, p_s, x[1], x[2], m[LINE_A], m[LINE_B], in_a, in_b, out_a, out_b)
+    lag_a, lag_b, net_a, net_b, drain = through(c, p_s, x[1], x[2], m[LINE_A], m[LINE_B], valves)
     air_a = net_a * lag_a + (m[LINE_A] - net_a * lag_a) * half_kept(h / lag_a)
     air_b = net_b * lag_b + (m[LINE_B] - net_b * lag_b) * half_kept(h / lag_b)
     p_a = x[1] + rise_a * (0.5 * h * net_a - air_a + m[LINE_A])
     p_b = x[2] + rise_b * (0.5 * h * net_b - air_b + m[LINE_B])
-    lag_a, lag_b, net_a, net_b, drain = through(c, p_s, p_a, p_b, air_a, air_b, in_a, in_b, out_a, out_b)
+    lag_a, lag_b, net_a, net_b, drain = through(c, p_s, p_a, p_b, air_a, air_b, valves)
     left_a = net_a * lag_a + (m[LINE_A] - net_a * lag_a) * math.exp(-h / lag_a)
     left_b = net_b * lag_b + (m[LINE_B] - net_b * lag_b) * math.exp(-h / lag_b)
     held[model.LINE_A] = net_a - (left_a - m[LINE_A]) / h
@@ -208,19 +202,18 @@ def half_kept(steps: float) -> float:
 
 @in_line
 def through(
-    c: Array, p_s: float, p_a: float, p_b: float, air_a: float, air_b: float,
-    in_a: float, in_b: float, out_a: float, out_b: float,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
+    c: Array, p_s: float, p_a: float, p_b: float, air_a: float, air_b: float, valves: Valves
+) -> tuple[float, float, float, float, float]:
     """Time constants of both lines, net flows into them and what comes from the supply, with so much air in them."""
     lag_a, back_a = line(c, p_a, air_a)
     lag_b, back_b = line(c, p_b, air_b)
     out_of_a, out_of_b = air_a / lag_a, air_b / lag_b
     at_a, at_b = p_a + back_a * out_of_a, p_b + back_b * out_of_b
-    net_a, net_b, drain = model.valve_flows(c, p_s, at_a, at_b, in_a, in_b, out_a, out_b)
+    net_a, net_b, drain = model.valve_flows(c, p_s, at_a, at_b, valves)
     if c[e.LINE_Z] > 0.0:  # until the front is back, the line answers the valve with its impedance
         for _ in range(ROUNDS):
             front_a, front_b = c[e.LINE_Z] * (net_a - out_of_a), c[e.LINE_Z] * (net_b - out_of_b)
-            net_a, net_b, drain = model.valve_flows(c, p_s, at_a + front_a, at_b + front_b, in_a, in_b, out_a, out_b)
+            net_a, net_b, drain = model.valve_flows(c, p_s, at_a + front_a, at_b + front_b, valves)
     return lag_a, lag_b, net_a, net_b, drain
 
 

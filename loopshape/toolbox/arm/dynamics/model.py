@@ -1,8 +1,8 @@
 """Right-hand side of the 1-DoF arm: capacity, splitter, two muscles, one body. SI, gauge pressures in Pa.
 
-States: p_c, p_A, p_B, theta2, its velocity, and angle and velocity of what lies beyond a flexible coupling. Valves are
-open areas from 0 to 1. Equation numbers are the source's (see `parameters`). What remembers (friction, creep, a line)
-is held over a step by `memory`.
+A state is p_c, p_A, p_B, theta2, its velocity, and angle and velocity of what lies beyond a flexible coupling. Valves
+are open areas from 0 to 1 of in A, in B, out A and out B. Equation numbers are the source's (see `parameters`). What
+remembers (friction, creep, a line) is held over a step by `memory`.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from loopshape.toolbox.arm import parameters as k
 from loopshape.toolbox.arm.effect import effect_parameters as e
 
 F = TypeVar("F", bound=Callable[..., Any])
+State = tuple[float, float, float, float, float, float, float]
+Valves = tuple[float, float, float, float]
 
 #: what `memory` holds over a step: torque, its slope over the angle from there, creep (m), flows into A and B, from the
 #: supply, drop of the supply (Pa), Coulomb torque, drop behind the capacity (Pa); for itself: angle, lengths, levers
@@ -92,10 +94,9 @@ def leak(c: Array, beta: float, p: float) -> float:
 
 
 @in_line
-def valve_flows(
-    c: Array, p_c: float, p_a: float, p_b: float, in_a: float, in_b: float, out_a: float, out_b: float
-) -> tuple[float, float, float]:
+def valve_flows(c: Array, p_c: float, p_a: float, p_b: float, valves: Valves) -> tuple[float, float, float]:
     """Net flows through the valves into A and B, and what comes from the supply, kg/s."""
+    in_a, in_b, out_a, out_b = valves
     q_a, q_b = supply_flows(c, p_c, p_a, p_b, in_a if out_a == 0.0 else 0.0, in_b if out_b == 0.0 else 0.0)
     drain = q_a + q_b
     if out_a > 0.0:
@@ -106,14 +107,12 @@ def valve_flows(
 
 
 @in_line
-def flows(
-    c: Array, held: Array, p_c: float, p_a: float, p_b: float, in_a: float, in_b: float, out_a: float, out_b: float
-) -> tuple[float, float, float]:
+def flows(c: Array, held: Array, p_c: float, p_a: float, p_b: float, valves: Valves) -> tuple[float, float, float]:
     """As `valve_flows`, with what lines hold back and muscles leak."""
     if c[e.LINE] > 0.0:
         q_a, q_b, drain = held[LINE_A], held[LINE_B], held[DRAIN]
     else:
-        q_a, q_b, drain = valve_flows(c, p_c, p_a, p_b, in_a, in_b, out_a, out_b)
+        q_a, q_b, drain = valve_flows(c, p_c, p_a, p_b, valves)
     if c[e.LEAK_A] > 0.0:
         q_a -= leak(c, c[e.LEAK_A], p_a)
     if c[e.LEAK_B] > 0.0:
@@ -200,21 +199,16 @@ def other_torques(
 
 
 @in_line
-def moving(
-    c: Array, held: Array, p_c: float, p_a: float, p_b: float, angle: float, velocity: float, beyond: float,
-    beyond_velocity: float, in_a: float, in_b: float, out_a: float, out_b: float,
-) -> tuple[float, float, float, float, float]:  # fmt: skip
-    """d p_c, d p_A, d p_B in Pa/s, and the angular accelerations of joint and of what lies beyond, rad/s2.
-
-    An open out valve overrules.
-    """
+def moving(c: Array, held: Array, state: State, valves: Valves) -> State:
+    """Rates of a state: Pa/s, rad/s and rad/s2. An open out valve overrules."""
+    p_c, p_a, p_b, angle, velocity, beyond, beyond_velocity = state
     sine, cosine = math.sin(angle), math.cos(angle)
     h_a, h_b, lever_a, lever_b = geometry(c, sine, cosine)
     dh_a, dh_b = -lever_a * velocity, -lever_b * velocity
     pull_a, volume_a, slope_a = muscle(c, p_a, h_a, dh_a, c[k.FACTOR_A], c[e.TWO_L_A], held[CREEP_A])
     pull_b, volume_b, slope_b = muscle(c, p_b, h_b, dh_b, c[k.FACTOR_B], c[e.TWO_L_B], held[CREEP_B])
 
-    q_a, q_b, drain = flows(c, held, p_c - held[SPLIT], p_a, p_b, in_a, in_b, out_a, out_b)
+    q_a, q_b, drain = flows(c, held, p_c - held[SPLIT], p_a, p_b, valves)
     d_p_c = c[k.RT] * (throttle(c, c[k.BETA_IN], c[k.P_IN] - held[DROP], p_c) - drain) / c[k.V_C]
     work_a = c[e.COMPRESSION] * (p_a + c[k.ABSOLUTE]) * slope_a * dh_a
     work_b = c[e.COMPRESSION] * (p_b + c[k.ABSOLUTE]) * slope_b * dh_b
@@ -223,35 +217,29 @@ def moving(
     upright = sine * c[e.TILT_COSINE] + cosine * c[e.TILT_SINE]
     torque = c[k.GRAVITY] * upright + pull_a * lever_a + pull_b * lever_b
     if c[e.TORQUES] == 0.0:
-        return d_p_c, d_p_a, d_p_b, torque / c[k.INERTIA], 0.0
+        return d_p_c, d_p_a, d_p_b, velocity, torque / c[k.INERTIA], beyond_velocity, 0.0
     across = cosine * c[e.TILT_COSINE] - sine * c[e.TILT_SINE]
     more, outer = other_torques(c, held, angle, upright, across, velocity, beyond, beyond_velocity)
-    return d_p_c, d_p_a, d_p_b, (torque + more) / c[k.INERTIA], outer
+    return d_p_c, d_p_a, d_p_b, velocity, (torque + more) / c[k.INERTIA], beyond_velocity, outer
 
 
 @compiled
 def derivatives(
-    c: Array,
-    p_c: float,
-    p_a: float,
-    p_b: float,
-    angle: float,
-    velocity: float,
-    in_a: bool,
-    in_b: bool,
-    out_a: bool,
-    out_b: bool,
+    c: Array, state: tuple[float, ...], valves: tuple[bool, bool, bool, bool]
 ) -> tuple[float, float, float, float]:
-    """d p_c, d p_A, d p_B in Pa/s and the angular acceleration in rad/s2; nothing remembered, a stiff coupling."""
+    """d p_c, d p_A, d p_B in Pa/s and the angular acceleration in rad/s2; nothing remembered, a stiff coupling.
+
+    A state is five floats here; `valves` says which are open.
+    """
+    p_c, p_a, p_b, angle, velocity = state
+    in_a, in_b, out_a, out_b = valves
     held = np.zeros(HELD)
     held[COULOMB] = c[e.COULOMB]
     if c[e.CREEP_LENGTH] > 0.0:  # what creeps with the length has long come to rest
         h_a, h_b, _, _ = geometry(c, math.sin(angle), math.cos(angle))
         held[CREEP_A], held[CREEP_B] = c[e.CREEP_LENGTH] * h_a, c[e.CREEP_LENGTH] * h_b
-    d_c, d_a, d_b, turn, outer = moving(
-        c, held, p_c, p_a, p_b, angle, velocity, angle, velocity,
-        1.0 if in_a else 0.0, 1.0 if in_b else 0.0, 1.0 if out_a else 0.0, 1.0 if out_b else 0.0,
-    )  # fmt: skip
+    areas = 1.0 if in_a else 0.0, 1.0 if in_b else 0.0, 1.0 if out_a else 0.0, 1.0 if out_b else 0.0
+    d_c, d_a, d_b, _, turn, _, outer = moving(c, held, (p_c, p_a, p_b, angle, velocity, angle, velocity), areas)
     if c[e.FLEX_K] > 0.0:  # a stiff coupling: what lies beyond turns along
         turn = (c[k.INERTIA] * turn + c[e.FLEX_INERTIA] * outer) / (c[k.INERTIA] + c[e.FLEX_INERTIA])
     return d_c, d_a, d_b, turn

@@ -1,7 +1,7 @@
 """Right-hand side of the 2-DoF arm: capacity, splitter, four muscles, two bodies. SI, gauge pressures in Pa.
 
-States: pressure of the capacity, p_A, p_B, p_C, p_D, theta1, theta2 and both velocities. A muscle's valves are one
-number: 1 filling, -1 letting out, 0 shut; an open out valve overrules, which `derivatives2` settles.
+A state is the pressure of the capacity, p_A, p_B, p_C, p_D, theta1, theta2 and both velocities. A muscle's valves are
+one number: 1 filling, -1 letting out, 0 shut; an open out valve overrules, which `derivatives2` settles.
 
 Links, spring and equations of motion are appendix F's, as ARM.md, section 5, restores it. `sine` and `cosine` are of
 the joint named. Muscles A and B act between body 1 and body 2 and pull on theta2 alone: their geometry is the 1-DoF
@@ -17,6 +17,9 @@ from loopshape.core.units import Array
 from loopshape.toolbox.arm import parameters as k
 from loopshape.toolbox.arm import parameters2 as k2
 from loopshape.toolbox.arm.dynamics.model import flow, geometry, in_line, muscle
+
+Four = tuple[float, float, float, float]
+State2 = tuple[float, float, float, float, float, float, float, float, float]
 
 
 @in_line
@@ -74,17 +77,14 @@ def filling(p_s: float, p: float, valves: float) -> float:
 
 
 @in_line
-def supply_flows2(
-    c: Array, p_s: float, p_a: float, p_b: float, p_c: float, p_d: float,
-    valves_a: float, valves_b: float, valves_c: float, valves_d: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
-    """Flows in kg/s from the capacity at p_s through the splitter into the four muscles (D.11-D.23).
+def supply_flows2(c: Array, p_s: float, p: Four, valves: Four) -> Four:
+    """Flows in kg/s from the capacity at p_s through the splitter into the four muscles at p (D.11-D.23).
 
     The open muscle farthest from p_s sets the throttle's drop, and the shares go by the differences over the sum of
     their sizes: as printed where all lie below p_s, bounded where one does not, nothing where none differs.
     """
-    a, b = filling(p_s, p_a, valves_a), filling(p_s, p_b, valves_b)
-    g, d = filling(p_s, p_c, valves_c), filling(p_s, p_d, valves_d)
+    a, b = filling(p_s, p[0], valves[0]), filling(p_s, p[1], valves[1])
+    g, d = filling(p_s, p[2], valves[2]), filling(p_s, p[3], valves[3])
     total = abs(a) + abs(b) + abs(g) + abs(d)
     if total == 0.0:
         return 0.0, 0.0, 0.0, 0.0
@@ -110,20 +110,17 @@ def pull_and_rise(
 
 
 @in_line
-def moving2(
-    c: Array, p_s: float, p_a: float, p_b: float, p_c: float, p_d: float,
-    angle1: float, angle2: float, velocity1: float, velocity2: float,
-    valves_a: float, valves_b: float, valves_c: float, valves_d: float,
-) -> tuple[float, float, float, float, float, float, float]:  # fmt: skip
-    """Rates of the capacity's and the muscles' pressures in Pa/s, and both angular accelerations in rad/s2."""
+def moving2(c: Array, state: State2, valves: Four) -> State2:
+    """Rates of a state: Pa/s, rad/s and rad/s2."""
+    p_s, p_a, p_b, p_c, p_d, angle1, angle2, velocity1, velocity2 = state
     sine1, cosine1 = math.sin(angle1), math.cos(angle1)
     sine2, cosine2 = math.sin(angle2), math.cos(angle2)
     h_a, h_b, lever_a, lever_b = geometry(c, sine2, cosine2)
     h_c, h_d, lever_c, lever_d = geometry1(c, sine1, cosine1)
-    q_a, q_b, q_c, q_d = supply_flows2(c, p_s, p_a, p_b, p_c, p_d, valves_a, valves_b, valves_c, valves_d)
+    q_a, q_b, q_c, q_d = supply_flows2(c, p_s, (p_a, p_b, p_c, p_d), valves)
     rise_s = c[k.RT] * (flow(c, c[k.BETA_IN], c[k.P_IN], p_s) - (q_a + q_b + q_c + q_d)) / c[k.V_C]
-    q_a, q_b = q_a - outflow(c, p_a, valves_a), q_b - outflow(c, p_b, valves_b)
-    q_c, q_d = q_c - outflow(c, p_c, valves_c), q_d - outflow(c, p_d, valves_d)
+    q_a, q_b = q_a - outflow(c, p_a, valves[0]), q_b - outflow(c, p_b, valves[1])
+    q_c, q_d = q_c - outflow(c, p_c, valves[2]), q_d - outflow(c, p_d, valves[3])
     pull_a, rise_a = pull_and_rise(c, p_a, h_a, -lever_a * velocity2, c[k.FACTOR_A], q_a)
     pull_b, rise_b = pull_and_rise(c, p_b, h_b, -lever_b * velocity2, c[k.FACTOR_B], q_b)
     pull_c, rise_c = pull_and_rise(c, p_c, h_c, -lever_c * velocity1, c[k2.FACTOR_C], q_c)
@@ -132,20 +129,18 @@ def moving2(
     torque1 += pull_c * lever_c + pull_d * lever_d
     torque2 += pull_a * lever_a + pull_b * lever_b
     turn1, turn2 = accelerations(c, torque1, torque2, sine2, cosine2, velocity1, velocity2)
-    return rise_s, rise_a, rise_b, rise_c, rise_d, turn1, turn2
+    return rise_s, rise_a, rise_b, rise_c, rise_d, velocity1, velocity2, turn1, turn2
 
 
 @compiled
-def derivatives2(
-    c: Array, x: Array, in_a: bool, in_b: bool, in_c: bool, in_d: bool,
-    out_a: bool, out_b: bool, out_c: bool, out_d: bool,
-) -> tuple[float, float, float, float, float, float, float]:  # fmt: skip
-    """As `moving2` at a state x (9,); an open out valve overrules."""
-    return moving2(
-        c, x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8],
+def derivatives2(c: Array, x: Array, valves: tuple[bool, ...]) -> State2:
+    """As `moving2` at a state x (9,); which of eight valves are open, in A to D and out A to D, which overrule."""
+    in_a, in_b, in_c, in_d, out_a, out_b, out_c, out_d = valves
+    four = (
         -1.0 if out_a else 1.0 if in_a else 0.0, -1.0 if out_b else 1.0 if in_b else 0.0,
         -1.0 if out_c else 1.0 if in_c else 0.0, -1.0 if out_d else 1.0 if in_d else 0.0,
     )  # fmt: skip
+    return moving2(c, (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8]), four)
 
 
 @compiled

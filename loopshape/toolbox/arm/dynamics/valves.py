@@ -6,7 +6,7 @@ import math
 
 from loopshape.core.units import Array
 from loopshape.toolbox.arm.dynamics import pwm
-from loopshape.toolbox.arm.dynamics.model import called, in_line
+from loopshape.toolbox.arm.dynamics.model import Valves, called, in_line
 from loopshape.toolbox.arm.effect import effect_parameters as e
 
 MOST_EDGES = 24
@@ -101,7 +101,7 @@ def area(c: Array, s: Array, first: int, side: float, now: float) -> float:
 
 
 @in_line
-def areas(c: Array, s: Array, now: float) -> tuple[float, float, float, float]:
+def areas(c: Array, s: Array, now: float) -> Valves:
     """Open areas of in A, in B, out A, out B at `now` s of the period."""
     if c[e.LATE] == 0.0:
         a, b = now < s[CLOSE], now < s[EACH + CLOSE]

@@ -17,7 +17,7 @@ from loopshape.core.units import Array, deg
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.arm import parameters as p
-from loopshape.toolbox.arm.dynamics import closed_loop, memory
+from loopshape.toolbox.arm.dynamics import closed_loop
 from loopshape.toolbox.arm.effect import effect_parameters as e
 
 LEAD_S = 1.0  # all states follow for half of it, then the submodel settles; not compared
@@ -96,22 +96,17 @@ def answers(f: Followed, vector: Array, mode: str, more_pa: float = 0.0) -> Arra
     """What the sensors would give (rows, 3), rad, Pa, Pa, from a parameter vector, in one of the three ways."""
     c = p.constants(vector)
     c[e.COULOMB_SPEED] = max(c[e.COULOMB_SPEED], 0.5 * f.row_s * c[e.COULOMB] / c[p.INERTIA])  # or the step is unstable
-    x, m = _start(f, c, more_pa, mode)
-    out = np.empty_like(f.measured)
-    lead = round(0.5 * LEAD_S / f.row_s)
-    _follow(f, c, x, m, out, lead, mode)
-    return out
+    return _follow(f, _start(f, c, more_pa, mode), len(f.measured), round(0.5 * LEAD_S / f.row_s), mode)
 
 
-def _follow(f: Followed, c: Array, x: Array, m: Array, out: Array, lead: int, mode: str) -> None:
-    lag_s = float(c[e.PRESSURE_LAG])
-    closed_loop.follow(
-        c, x, m, f.commands, f.measured[: len(out)], gains("both", f.row_s, lag_s), gains(mode, f.row_s, lag_s), lead,
-        f.tick_s, f.stride, f.period_ticks, f.dead_zone, out,
-    )  # fmt: skip
+def _follow(f: Followed, arm: closed_loop.Mechanism, rows: int, lead: int, mode: str) -> Array:
+    lag_s = float(arm.c[e.PRESSURE_LAG])
+    both = np.array([gains(one, f.row_s, lag_s) for one in ("both", mode)])
+    pwm = closed_loop.Pwm(f.tick_s, f.period_ticks, f.dead_zone)
+    return closed_loop.follow(arm, f.commands, f.measured[:rows], both, lead, pwm, f.stride)
 
 
-def gains(mode: str, row_s: float, lag_s: float = 0.0) -> Array:
+def gains(mode: str, row_s: float, lag_s: float = 0.0) -> list[float]:
     """How much per row the pressures, the angle and the velocity (1/s) are drawn to the measured ones.
 
     Pressures behind a lag are followed no faster than the lag, or following would not be stable.
@@ -119,21 +114,18 @@ def gains(mode: str, row_s: float, lag_s: float = 0.0) -> Array:
     angle = [1.4 * _ANGLE_TURN * row_s, _ANGLE_TURN**2 * row_s]
     slow, fast = _SLOW * row_s, min(_FAST, 1.0 / max(lag_s, 1e-3)) * row_s
     table = {"both": [fast, *angle], "valves": [slow, *angle], "muscles": [fast, 0.0, 0.0], "whole": [slow, 0.0, 0.0]}
-    return np.array(table[mode])
+    return table[mode]
 
 
-def _start(f: Followed, c: Array, more_pa: float, mode: str) -> tuple[Array, Array]:
-    """State and memory at the first sample; the capacity is a guess, `more_pa` above what a short lead gives it."""
+def _start(f: Followed, c: Array, more_pa: float, mode: str) -> closed_loop.Mechanism:
+    """The arm at the first sample; the capacity is a guess, `more_pa` above what a short lead gives it."""
     angle, p_a, p_b = f.measured[:3].mean(axis=0)
     x = np.array([_CAPACITY * c[p.P_IN], p_a, p_b, angle, 0.0, angle, 0.0])
-    m = np.empty(memory.SIZE)
-    memory.start(c, x, m)
-    if mode == "muscles":  # the pressures follow the measured ones, whatever feeds them
-        return x, m
-    y, w = x.copy(), m.copy()
-    _follow(f, c, y, w, np.empty((min(round(_CAPACITY_S / f.row_s), len(f.measured)), 3)), 0, "both")
-    x[0] = y[0] + more_pa
-    return x, m
+    if mode != "muscles":  # there the pressures follow the measured ones, whatever feeds them
+        led = closed_loop.at_rest(c, x.copy())
+        _follow(f, led, round(_CAPACITY_S / f.row_s), 0, "both")
+        x[0] = led.x[0] + more_pa
+    return closed_loop.at_rest(c, x)
 
 
 def with_capacity_slopes(f: Followed, vector: Array) -> Followed:

@@ -27,7 +27,7 @@ def test_every_derivative_at_300_random_states(reference, arm_constants):
     table = pd.read_parquet(reference / "rhs1.parquet")
     c = arm_constants()
     valves = table[["in_a", "in_b", "out_a", "out_b"]].to_numpy() > 0.5
-    ours = [derivatives(c, *x, *v.tolist()) for x, v in zip(states(table), valves, strict=True)]
+    ours = [derivatives(c, tuple(x), tuple(v)) for x, v in zip(states(table), valves, strict=True)]
     theirs = table[["d_p_c", "d_p_a", "d_p_b", "d_w2"]].to_numpy() * [1e5, 1e5, 1e5, 1.0]
     assert len(table) == 300
     np.testing.assert_allclose(ours, theirs, rtol=1e-9)  # zeros must be zeros

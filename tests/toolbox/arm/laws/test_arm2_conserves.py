@@ -72,7 +72,7 @@ def kinetic(q, w):
 @given(p=FIVE, q=st.tuples(st.floats(-0.43, 0.43), st.floats(-0.75, 0.75)), valves=EIGHT)
 def test_gas_is_neither_made_nor_lost(p, q, valves):
     """At rest the five volumes' contents change by what enters from the supply and leaves to the room."""
-    rates = derivatives2(C, np.array([*p, *q, 0.0, 0.0]), *valves)
+    rates = derivatives2(C, np.array([*p, *q, 0.0, 0.0]), valves)
     volumes = [C[k.V_C], *(volume(h) for h in lengths(q))]
     q_in = flow(C, C[k.BETA_IN], C[k.P_IN], p[0])
     q_out = sum(o * flow(C, C[k.BETA_OUT], one, 0.0) for o, one in zip(valves[4:], p[1:], strict=True))
@@ -85,7 +85,7 @@ def test_gas_is_neither_made_nor_lost(p, q, valves):
 def test_the_splitter_below_the_supply_is_d_11_to_d_23(p, valves):
     """Where all muscles lie below p_c: p_s = min over the open ones, shares by the differences."""
     p_c, muscles = max(p) + 1.0, p[1:]
-    ours = supply_flows2(C, p_c, *muscles, *(float(v) for v in valves))
+    ours = supply_flows2(C, p_c, muscles, tuple(float(v) for v in valves))
     if not any(valves):
         assert ours == (0.0,) * 4
         return
@@ -99,7 +99,7 @@ def test_the_splitter_below_the_supply_is_d_11_to_d_23(p, valves):
 @given(p=PRESSURES, gaps=st.tuples(*[st.one_of(st.just(0.0), st.floats(-1e4, 1e4))] * 4))
 def test_the_splitter_s_zero_denominator_is_guarded(p, gaps):
     """Muscles at, above and below p_c, where the printed shares divide by nothing or by less than nothing."""
-    ours = supply_flows2(C, p, *(p + g for g in gaps), 1.0, 1.0, 1.0, 1.0)
+    ours = supply_flows2(C, p, tuple(p + g for g in gaps), (1.0,) * 4)
     bound = 1.000001 * flow(C, C[k.BETA_S], p + max(abs(g) for g in gaps) + 1e-9, p)
     for q, gap in zip(ours, gaps, strict=True):
         assert math.isfinite(q)
@@ -113,7 +113,7 @@ def test_the_splitter_s_zero_denominator_is_guarded(p, gaps):
 @given(p=FIVE, q=st.tuples(st.floats(-0.43, 0.43), st.floats(-0.75, 0.75)))
 def test_an_open_out_valve_overrules_the_in_valve(p, q):
     x = np.array([*p, *q, 1.0, -2.0])
-    assert derivatives2(C, x, *[True] * 8) == derivatives2(C, x, *[False] * 4, *[True] * 4)
+    assert derivatives2(C, x, (True,) * 8) == derivatives2(C, x, (False,) * 4 + (True,) * 4)
 
 
 @settings(max_examples=100)
@@ -170,7 +170,7 @@ def test_an_equilibrium_balances_and_stays(point):
     c = numbers()
     x = rest2(c, *point, 1e5)
     np.testing.assert_allclose(standing_torques(c, x), 0.0, atol=1e-9)
-    np.testing.assert_allclose(derivatives2(c, x, *[False] * 8), 0.0, atol=1e-7)
+    np.testing.assert_allclose(derivatives2(c, x, (False,) * 8), 0.0, atol=1e-7)
     _, last = open_loop(c, x, np.zeros((1000, 4)))
     np.testing.assert_allclose(last, x, rtol=1e-9, atol=1e-9)
     assert pressures2(c, *point)[::2] == point[2:]  # p_A and p_C are those asked for

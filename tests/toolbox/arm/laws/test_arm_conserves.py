@@ -42,7 +42,7 @@ def volume(h):
 @given(p_c=PRESSURES, p_a=PRESSURES, p_b=PRESSURES, angle=ANGLES, valves=st.tuples(VALVES, VALVES, VALVES, VALVES))
 def test_gas_is_neither_made_nor_lost(p_c, p_a, p_b, angle, valves):
     """At rest the three volumes' contents change by what enters from the supply and leaves to the room."""
-    d_p_c, d_p_a, d_p_b, _ = derivatives(C, p_c, p_a, p_b, angle, 0.0, *valves)
+    d_p_c, d_p_a, d_p_b, _ = derivatives(C, (p_c, p_a, p_b, angle, 0.0), valves)
     v_a, v_b = (volume(h) for h in lengths(angle))
     q_in = flow(C, C[k.BETA_IN], C[k.P_IN], p_c)
     q_out = sum(o * flow(C, C[k.BETA_OUT], p, 0.0) for o, p in zip(valves[2:], (p_a, p_b), strict=True))
@@ -101,8 +101,8 @@ def test_the_splitter_s_zero_denominators_are_guarded(p, gap):
 @settings(max_examples=100)
 @given(p_c=PRESSURES, p_a=PRESSURES, p_b=PRESSURES, angle=ANGLES, velocity=st.floats(-5.0, 5.0))
 def test_an_open_out_valve_overrules_the_in_valve(p_c, p_a, p_b, angle, velocity):
-    both = derivatives(C, p_c, p_a, p_b, angle, velocity, True, True, True, True)
-    assert both == derivatives(C, p_c, p_a, p_b, angle, velocity, False, False, True, True)
+    state = (p_c, p_a, p_b, angle, velocity)
+    assert derivatives(C, state, (True,) * 4) == derivatives(C, state, (False, False, True, True))
 
 
 @settings(max_examples=100)

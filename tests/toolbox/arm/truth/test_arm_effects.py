@@ -127,7 +127,7 @@ def test_friction_under_load_has_its_level_at_the_typical_pull(arm_constants):
     c, held = arm_constants(coulomb_nm=0.1, friction_load_share=1.0), np.zeros(model.HELD)
     for p_ab in (0.8, 1.6):
         x = rest(c, 0.0, p_ab, 1e5)
-        memory.hold(c, x, at_rest(c, x), held, 1e-3, *SHUT)
+        memory.hold(c, x, at_rest(c, x), held, 1e-3, SHUT)
         pull = sum(model.muscle(c, p, h, 0.0, 1.0, TWO_L, 0.0)[0] for p, h in zip(x[1:3], lengths(c, 0.0), strict=True))
         assert held[model.COULOMB] == pytest.approx(0.1 * pull / memory.TYPICAL_PULL_N, rel=1e-9)
 
@@ -140,7 +140,7 @@ def test_a_hose_s_spring_swings_about_its_angle(arm_open_loop, arm_constants):
 
 
 def acceleration(c, angle):
-    return model.derivatives(c, *state(angle)[:5], False, False, False, False)[3]
+    return model.derivatives(c, tuple(state(angle)[:5]), (False,) * 4)[3]
 
 
 def test_a_hose_hardens_with_the_cube(arm_constants):
@@ -236,9 +236,9 @@ def kept(c, x, m, seconds, h=1e-3):
     """What is held after so long in x."""
     held = np.zeros(model.HELD)
     for _ in range(round(seconds / h)):
-        memory.hold(c, x, m, held, h, *SHUT)
+        memory.hold(c, x, m, held, h, SHUT)
         memory.move_on(c, x, m, held, h)
-    memory.hold(c, x, m, held, h, *SHUT)
+    memory.hold(c, x, m, held, h, SHUT)
     return held
 
 
@@ -292,8 +292,8 @@ def test_a_leak_empties_a_shut_muscle(arm_open_loop, arm_constants, laminar):
 def test_dead_volume_slows_filling_by_the_volumes(arm_constants):
     plain, dead = arm_constants(), arm_constants(dead_volume_a_ml=50.0, dead_volume_b_ml=40.0)
     for side, ml in ((0, 50.0), (1, 40.0)):
-        valve = [side == 0, side == 1, False, False]
-        quick, slow = (model.derivatives(c, *state()[:5], *valve)[1 + side] for c in (plain, dead))
+        valve = (side == 0, side == 1, False, False)
+        quick, slow = (model.derivatives(c, tuple(state()[:5]), valve)[1 + side] for c in (plain, dead))
         v = volumes(plain, 0.0)[side]
         assert slow / quick == pytest.approx(v / (v + 1e-6 * ml), rel=1e-12)
 
@@ -330,7 +330,7 @@ def test_a_line_passes_on_all_air_late_by_its_lag(arm_constants, moves, h):
     m, held = at_rest(c, x), np.zeros(model.HELD)
     taken = given = 0.0
     for _ in range(1000):
-        memory.hold(c, x, m, held, h, 1.0, 0.0, 0.0, 1.0)
+        memory.hold(c, x, m, held, h, (1.0, 0.0, 0.0, 1.0))
         taken += h * held[model.DRAIN]
         given += h * held[model.LINE_A]
     assert taken - given == pytest.approx(m[memory.LINE_A], rel=1e-10)
@@ -386,7 +386,7 @@ def test_choked_flow_is_bounded_below_its_critical_ratio(arm_constants):
 def test_a_lower_supply_fills_the_capacity_that_far(arm_constants):
     c = arm_constants(supply_drop_bar=0.12)
     for p_c, sign in ((0.87e5, 1.0), (0.88e5, 0.0), (0.89e5, -1.0)):
-        filling = model.derivatives(c, *state(p_c=p_c)[:5], False, False, False, False)[0]
+        filling = model.derivatives(c, tuple(state(p_c=p_c)[:5]), (False,) * 4)[0]
         assert np.sign(round(filling, 6)) == sign
 
 
@@ -397,7 +397,7 @@ def test_a_droop_is_its_drop_at_one_open_valve_s_flow(arm_constants, name, place
     for seconds, share in ((0.05, 1.0 - math.exp(-1.0)), (0.95, 1.0)):
         for _ in range(round(seconds / 1e-4)):
             x[0] = 1e5 + held[model.SPLIT]  # the valve sees the supply's pressure, and A is at 0.5 bar
-            memory.hold(c, x, m, held, 1e-4, 1.0, 0.0, 0.0, 0.0)
+            memory.hold(c, x, m, held, 1e-4, (1.0, 0.0, 0.0, 0.0))
         assert held[place] == pytest.approx(0.2e5 * share, rel=1e-4)
 
 
@@ -474,7 +474,7 @@ def test_pulses_shorter_than_asked_are_lost(arm_constants):
 def test_a_front_in_a_line_holds_the_valve_s_flow_back_by_the_impedance(arm_constants):
     """c/A times what flows in more than out: into a line at rest, the valve sees that much more pressure."""
     c, x, held = arm_constants(hose_length_m=4.0, hose_front=1.0), state(), np.zeros(model.HELD)
-    memory.hold(c, x, at_rest(c, x), held, 1e-9, 1.0, 0.0, 0.0, 0.0)
+    memory.hold(c, x, at_rest(c, x), held, 1e-9, (1.0, 0.0, 0.0, 0.0))
     q = held[model.DRAIN]
     back = 343.0 / (math.pi / 4.0 * 2.5e-3**2) * q
     assert back > 1e3

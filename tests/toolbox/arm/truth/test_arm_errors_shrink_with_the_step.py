@@ -57,7 +57,7 @@ def test_split_steps_agree_with_dop853_between_edges(arm_open_loop, below_supply
         for left, right, valves in zip(edges[:-1], edges[1:], ((1, 1), (1, 0), (0, 0)), strict=True):
 
             def rhs(_, x, valves=valves):
-                d = derivatives(c, *x, valves[0] == 1, valves[1] == 1, False, False)
+                d = derivatives(c, tuple(x), (valves[0] == 1, valves[1] == 1, False, False))
                 return [*d[:3], x[4], d[3]]
 
             x = solve_ivp(rhs, (left, right), x, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
