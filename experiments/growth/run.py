@@ -21,7 +21,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.design.growth import Task, library
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.shifts import copies_for
-from loopshape.design.search import LARGEST, begin, search
+from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.write.requirements import read_requirements
@@ -123,12 +123,12 @@ def _evolved(name: str, case: Case, p: Problem) -> Iterator[list[str]]:
     bounds = list(zip(p.low, p.high, strict=True))
 
     def merit(x: np.ndarray) -> float:
-        value = LARGEST.merit(begin(p, x).measures)
+        value = LARGEST.merit(initial_point(p, x).measures)
         return value if np.isfinite(value) else 1e3
 
     best = differential_evolution(merit, bounds, maxiter=60, popsize=12, seed=0, polish=False)
     yield _peer(name, "differential evolution", case, p, best.x, begun)
-    finished = search(p, begin(p, best.x), LARGEST, 300)
+    finished = search(p, initial_point(p, best.x), LARGEST, 300)
     yield _peer(name, "differential evolution, then this search", case, p, finished.x, begun)
 
 
@@ -146,7 +146,7 @@ def _convex_concave(name: str, case: Case, p: Problem, grown: Tuning) -> list[st
 def _peer(name: str, how: str, case: Case, p: Problem, x: np.ndarray, begun: float) -> list[str]:
     frfs, fits, asked = case
     verdict = check(frfs, p.controller(x), asked, fits)
-    read = min(float(np.exp(begin(p, x).measures.ln_bandwidth.min())), _lowest(verdict))
+    read = min(float(np.exp(initial_point(p, x).measures.ln_bandwidth.min())), _lowest(verdict))
     return _row(name, how, read, verdict, begun)
 
 

@@ -22,7 +22,7 @@ from loopshape.loop.verdict import check, loops_of
 from loopshape.toolbox.limits import bound as bound_module
 from loopshape.toolbox.limits import bound_regions
 from loopshape.toolbox.limits.bound import bound, excluded
-from loopshape.toolbox.limits.bound_reach import reach
+from loopshape.toolbox.limits.bound_reach import achieved
 from loopshape.toolbox.schedules.picture import schedule_page
 from loopshape.toolbox.schedules.schedule import schedule
 from loopshape.view.style import png
@@ -91,7 +91,7 @@ def settling(loops: Sequence[Loop], asked: Requirements, weakest: str) -> Iterab
     """The bound of the weakest plant with more nodes, sides and test functions, and what more parameters reach."""
     loop = next(one for one in loops if one.plant.recording == weakest)
     for density in (4, 8, 16):
-        yield "reached with poles a decade", density, reach(loop, asked, bound_hz=4.0, density=density).bandwidth_hz
+        yield "reached with poles a decade", density, achieved(loop, asked, bound_hz=4.0, density=density).bandwidth_hz
     usual = bound_module.WITHIN, bound_module.PAIRS, bound_regions.SIDES
     for within, pairs, sides in ((75, 12, 32), usual, (300, 24, 96), (300, 48, 96)):
         bound_module.WITHIN, bound_module.PAIRS = within, pairs

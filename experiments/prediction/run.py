@@ -165,7 +165,7 @@ def stood_at(name: str) -> float:
 
 
 def misses(margins: Margins, required: Requirements) -> list[str]:
-    """Requirements whose value at this equilibrium misses what is wished, whatever its interval."""
+    """Requirements whose value at this equilibrium misses what is required, whatever its interval."""
     return [
         limit.name for limit in LIMITS if (w := getattr(required, limit.name)) is not None
         and (getattr(margins, limit.name) < w if limit.sense == "at_least" else getattr(margins, limit.name) > w)

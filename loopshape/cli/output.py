@@ -17,7 +17,7 @@ import typer
 from loopshape.verbs.session import answer, folded
 
 #: what a terminal shows that does not know a sign
-PLAIN = {
+ASCII_SIGNS = {
     "±": "+-", "²": "^2", "³": "^3", "·": "*", "∞": "inf", "≥": ">=", "≤": "<=", "≈": "~", "−": "-", "–": "-",
     "→": "->", "…": "...", "γ": "gamma", "π": "pi", "θ": "theta", "µ": "u",
 }  # fmt: skip
@@ -131,7 +131,7 @@ def _plain(error: UnicodeError) -> tuple[str | bytes, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     signs = error.object[error.start : error.end]
-    return "".join(PLAIN.get(sign) or ascii(sign)[1:-1] for sign in signs), error.end
+    return "".join(ASCII_SIGNS.get(sign) or ascii(sign)[1:-1] for sign in signs), error.end
 
 
 def text(cell: Any) -> str:

@@ -31,7 +31,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 #: numbers from here on are none that anything can be computed with
 TOO_LARGE = 1e300
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
-_PLAIN = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", Path: "a path"}
+_WORD_OF = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", Path: "a path"}
 _TYPES: dict[type, Any] = {bool: bool | np.bool_, str: str, Path: PathLike}
 
 
@@ -81,7 +81,7 @@ def fits(value: Any, hint: Any) -> bool:
         return _fits_whole(value, origin, inner)
     if hint is None or hint is type(None):
         return value is None
-    if hint in _PLAIN:
+    if hint in _WORD_OF:
         return _fits_plain(value, hint)
     if isinstance(hint, type) and issubclass(hint, StrEnum):
         return isinstance(value, str)  # which words it may be, the noun says
@@ -145,7 +145,7 @@ def described(hint: Any) -> str:
             else "a function"
         )
     name = getattr(hint, "__name__", str(hint))
-    return _PLAIN.get(hint, an(name))
+    return _WORD_OF.get(hint, an(name))
 
 
 def received(value: Any) -> str:
@@ -190,7 +190,7 @@ def _plain(value: Any, hint: Any) -> Any:
     """What inside counts on: a tuple for a list or array where a type names one, a list for an array, Python's number
     for one of numpy's; all others as they are."""
     hints = [one for one in _arms(hint) if one is not Any and fits(value, one)]
-    if isinstance(value, np.generic) and any(one in _PLAIN for one in hints):
+    if isinstance(value, np.generic) and any(one in _WORD_OF for one in hints):
         return value.item()
     if not isinstance(value, list | tuple | range | np.ndarray):
         return value

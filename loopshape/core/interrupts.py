@@ -18,7 +18,7 @@ SOON_S = 1.2  # from an interrupt on: compiled code and libraries hear none, and
 class _Heard:
     """What was heard since the program began: whether an exception told of it, and what must not be cut short."""
 
-    guarded = raised = said = expected = False
+    guarded = raised = reported = expected = False
     at_s: float | None = None
     whole = 0
     """How many blocks are at work that end by themselves."""
@@ -34,13 +34,13 @@ def interrupts() -> Iterator[None]:
     if current_thread() is not main_thread():
         yield
         return
-    told = False
+    reported_once = False
 
     def interrupt(number: int, frame: object) -> None:
-        nonlocal told
+        nonlocal reported_once
         _Heard.raised = True
-        if not told:
-            told = True
+        if not reported_once:
+            reported_once = True
             raise KeyboardInterrupt
 
     which = [signal.SIGINT, signal.SIGTERM]
@@ -104,7 +104,7 @@ def ended_soon(sentence: str, clean: Callable[[], None]) -> Iterator[None]:
     if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
-    _Heard.guarded, _Heard.raised, _Heard.said, _Heard.expected, _Heard.at_s = True, False, False, False, None
+    _Heard.guarded, _Heard.raised, _Heard.reported, _Heard.expected, _Heard.at_s = True, False, False, False, None
     here, there = socket.socketpair()
     there.setblocking(False)
     Thread(target=_end_late, args=(here, sentence, clean), daemon=True).start()
@@ -152,6 +152,6 @@ def _end_late(here: socket.socket, sentence: str, clean: Callable[[], None]) -> 
 
 def say_once(sentence: str) -> None:
     """One sentence on standard error, by whoever is first to say it."""
-    if not _Heard.said:
-        _Heard.said = _Heard.guarded
+    if not _Heard.reported:
+        _Heard.reported = _Heard.guarded
         print(f"loopshape: {sentence}", file=sys.stderr, flush=True)

@@ -63,7 +63,7 @@ class Toolbox:
 
 
 @dataclass(frozen=True)
-class Found:
+class Installed:
     """The toolboxes of this installation, by name, and a sentence for each that could not be used."""
 
     toolboxes: Mapping[str, Toolbox]
@@ -75,7 +75,7 @@ class Found:
 
 
 @cache
-def found() -> Found:
+def found() -> Installed:
     """What is installed. A toolbox that cannot be loaded, or is none, is left out and said."""
     made: dict[str, Toolbox] = {}
     broken: list[str] = []
@@ -84,7 +84,7 @@ def found() -> Found:
             made[_new(point.name, made)] = _loaded(point)
         except Exception as error:  # whatever a stranger's module does when it is imported
             broken.append(_sentence(point, error))
-    return Found(made, tuple(broken))
+    return Installed(made, tuple(broken))
 
 
 def _new(name: str, made: Mapping[str, Toolbox]) -> str:

@@ -32,8 +32,8 @@ from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.problem.measures import opened
 from loopshape.design.problem.problem import Problem, problem
 from loopshape.design.problem.rows import Tighten
-from loopshape.design.problem.shifts import Copy, closer, judged, shifted_loops
-from loopshape.design.search import Goal, begin, search, step_within
+from loopshape.design.problem.shifts import Copy, closer, shifted_loops, shifted_verdict
+from loopshape.design.search import Goal, initial_point, search, step_within
 from loopshape.design.starts import leaps, random_starts
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
 from loopshape.loop.margin.error_rms import error_warnings, of_points
@@ -47,7 +47,7 @@ PLACES, DAMPINGS, RADIUS = 40, (0.05, 0.2, 0.7, 1.5), 0.3
 #: a block may lie so many times outside the valid band, and below so much of the rate
 OUTSIDE, OF_RATE = 4.0, 0.4
 #: of the most promising places so many are searched for so many steps, and so many of them to their end
-FOLLOWED, FIRST, KEPT, MOST, SETTLED = 10, 60, 4, 200, 3
+FOLLOWED, FIRST, STAGE_POINTS, MOST, SETTLED = 10, 60, 4, 200, 3
 #: two places of one block and one damping are one where they lie nearer than this (ln)
 APART = 0.35
 #: crossings that the tuner reads lower than the check by less than this are those of the check
@@ -74,19 +74,19 @@ class Task:
     ) -> tuple[Problem, Callable[[Requirements], Verifier]]:
         """The problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
         shifted = shifted_loops(self.loops, copies)
-        shaken = of_points(shifted, self.disturbances)
+        disturbed = of_points(shifted, self.disturbances)
         rate_hz = self.unit.rate_hz
-        known = [opened(loop, shaken.get(name), rate_hz) for name, loop in shifted.items()] if shaken else []
+        known = [opened(loop, disturbed.get(name), rate_hz) for name, loop in shifted.items()] if disturbed else []
         p = problem(list(shifted.values()), asked, rate_hz, self.precision, known)
 
-        def judge_of(limits: Requirements) -> Verifier:
-            return lambda controller, points=None: judged(shifted, controller, limits, points, shaken)
+        def check_of(limits: Requirements) -> Verifier:
+            return lambda controller, points=None: shifted_verdict(shifted, controller, limits, points, disturbed)
 
-        return p, judge_of
+        return p, check_of
 
     def check(self, p: Problem, best: TightenedSolution) -> Verdict:
         """What `check` says of it at the plants as they are; margins that its judge read there are not read again."""
-        C = p.controller(best.found.x)
+        C = p.controller(best.result.x)
         if self.requirements.detuning_percent is not None:
             return check(self.frfs, C, self.requirements, self.fits, disturbances=self.disturbances)
         loops = [replace(loop, controllers=(C,)) for loop in self.loops]
@@ -141,7 +141,7 @@ def lowest_bandwidth(stage: Stage) -> float:
     Where |L| runs along 1 the one may read a crossing far above the other's.
     """
     read = float(min(m.bandwidth_hz for m in stage.verdict.margins.values()))
-    mine = float(np.exp(stage.best.found.measures.ln_bandwidth.min()))
+    mine = float(np.exp(stage.best.result.measures.ln_bandwidth.min()))
     return mine if read > (1.0 + SAME) * mine else read
 
 
@@ -153,7 +153,7 @@ def step_of(stage: Stage) -> Grown:
         bandwidth_hz=lowest_bandwidth(stage),
         control_peak_db=max(m.control_peak_db for m in every),
         detuning_percent=min(m.detuning_percent for m in every),
-        order=stage.p.controller(stage.best.found.x).order(),
+        order=stage.p.controller(stage.best.result.x).order(),
         outcome=stage.verdict.outcome.value,
     )
 
@@ -163,13 +163,13 @@ def closed_in(task: Task, stage: Stage) -> Stage:
     for _ in range(SHIFTED):
         if not stage.best.verdict.passed or stage.verdict.passed or task.requirements.detuning_percent is None:
             break
-        C = stage.p.controller(stage.best.found.x)
+        C = stage.p.controller(stage.best.result.x)
         copies, asked = closer(stage.copies, stage.asked, task.loops, C, task.requirements, stage.verdict)
         asked = replace(asked, structure=stage.asked.structure)
-        p, judge_of = task.problem(copies, asked)
-        goal = Goal()
-        again = tighten_limits(p, search(p, begin(p, stage.best.found.x, goal, 0.1), goal, MORE), judge_of(asked))
-        steps = stage.steps + again.found.steps
+        p, check_of = task.problem(copies, asked)
+        moved = search(p, initial_point(p, stage.best.result.x, Goal(), 0.1), Goal(), MORE)
+        again = tighten_limits(p, moved, check_of(asked))
+        steps = stage.steps + again.result.steps
         stage = Stage(copies, asked, p, again, task.check(p, again), steps, stage.added)
     return stage
 
@@ -200,17 +200,17 @@ def library(loops: Sequence[Loop]) -> tuple[BlockTemplate, ...]:
 def _with(task: Task, stage: Stage, template: BlockTemplate, rng: np.random.Generator, starts: int) -> Stage:
     """The best stage with one more block."""
     asked = replace(stage.asked, structure=(*stage.asked.structure, template))
-    p, judge_of = task.problem(stage.copies, asked)
-    goal, judge = Goal(stage.best.tighten), judge_of(asked)
-    begun = [search(p, begin(p, x, goal), goal, FIRST) for x in promising(p, stage.best.found.x, goal)]
-    begun = sorted(begun, key=lambda one: goal.merit(one.measures))[:KEPT]
-    leapt, _ = leaps(p, replace(begun[0], measures=begin(p, begun[0].x).measures), rng, starts)
-    begun.append(leapt)
-    searched = sorted((search(p, one, goal, MOST) for one in begun), key=lambda one: goal.merit(one.measures))
-    ends = [tighten_limits(p, one, judge, stage.best.tighten) for one in searched[:SETTLED]]
+    p, check_of = task.problem(stage.copies, asked)
+    goal, verifier = Goal(stage.best.tighten), check_of(asked)
+    initial = [search(p, initial_point(p, x, goal), goal, FIRST) for x in promising(p, stage.best.result.x, goal)]
+    initial = sorted(initial, key=lambda one: goal.merit(one.measures))[:STAGE_POINTS]
+    leapt, _ = leaps(p, replace(initial[0], measures=initial_point(p, initial[0].x).measures), rng, starts)
+    initial.append(leapt)
+    searched = sorted((search(p, one, goal, MOST) for one in initial), key=lambda one: goal.merit(one.measures))
+    ends = [tighten_limits(p, one, verifier, stage.best.tighten) for one in searched[:SETTLED]]
     kind, stages = template.kind, []
     for end in sorted(ends, key=lambda one: one.rank)[:2]:
-        one = Stage(stage.copies, asked, p, end, task.check(p, end), end.found.steps, kind)
+        one = Stage(stage.copies, asked, p, end, task.check(p, end), end.result.steps, kind)
         stages.append(closed_in(task, one))
     return min(stages, key=lambda one: one.rank)
 
@@ -221,7 +221,7 @@ def promising(p: Problem, x: Array, goal: Goal) -> list[Array]:
     for place, damping in product(_places(p), DAMPINGS if p.templates[-1].kind == "notch" else (1.0,)):
         new = [place if v.name.endswith("_hz") else damping for v in p.variables[x.size :]]
         point = np.clip(np.concatenate([x, np.log(new)]), p.low, p.high)
-        _, promised = step_within(p, point, begin(p, point, goal).measures, RADIUS, goal)
+        _, promised = step_within(p, point, initial_point(p, point, goal).measures, RADIUS, goal)
         gains.append((promised, place, damping, point))
     chosen: list[tuple[float, float, float, Array]] = []
     for one in sorted(gains, key=lambda gain: -gain[0]):
@@ -244,7 +244,7 @@ _DRAWS, _STARTS, _SEARCHED_ON, _SHORT, _LONG = 600, 24, 4, 60, 300
 _NEAR = 0.15
 
 
-def lifted(task: Task, stage: Stage, blocks: int, rng: np.random.Generator) -> Stage | None:
+def blockwise_growth(task: Task, stage: Stage, blocks: int, rng: np.random.Generator) -> Stage | None:
     """The stage with so many free biquads more, up to `_BLOCKS`; None where no floor comes within reach.
 
     Needs an objective of bandwidth, and limits that are the same at all operating points.
@@ -253,17 +253,15 @@ def lifted(task: Task, stage: Stage, blocks: int, rng: np.random.Generator) -> S
         return None
     biquad, count = library(task.loops)[0], min(blocks, _BLOCKS)
     asked = replace(stage.asked, structure=(*stage.asked.structure, *[biquad] * count))
-    p, judge_of = task.problem(stage.copies, asked)
-    goal, judge = Goal(stage.best.tighten), judge_of(asked)
+    p, check_of = task.problem(stage.copies, asked)
+    goal, verifier = Goal(stage.best.tighten), check_of(asked)
     tops = [rung * lowest_bandwidth(stage) for rung in _RUNGS]
-    begun = [x for top in tops for x in _met(p.asked(_under_floor(asked, float(p.f[0]), top)), goal.tighten, rng)]
-    searched = sorted(
-        (search(p, begin(p, x, goal), goal, MOST) for x in begun), key=lambda one: goal.merit(one.measures)
-    )
+    initial = [x for top in tops for x in _inside(p.asked(_under_floor(asked, float(p.f[0]), top)), goal.tighten, rng)]
+    searched = [search(p, initial_point(p, x, goal), goal, MOST) for x in initial]
     stages = []
-    for one in searched[:SETTLED]:
-        end = tighten_limits(p, one, judge, stage.best.tighten)
-        added = Stage(stage.copies, asked, p, end, task.check(p, end), end.found.steps, f"{count} x {biquad.kind}")
+    for one in sorted(searched, key=lambda one: goal.merit(one.measures))[:SETTLED]:
+        end = tighten_limits(p, one, verifier, stage.best.tighten)
+        added = Stage(stage.copies, asked, p, end, task.check(p, end), end.result.steps, f"{count} x {biquad.kind}")
         stages.append(closed_in(task, added))
     return min(stages, key=lambda one: one.rank, default=None)
 
@@ -273,12 +271,12 @@ def _under_floor(asked: Requirements, low_hz: float, top_hz: float) -> Requireme
     return replace(asked, masks=(*asked.masks, Mask("L", ((0.5 * low_hz, 0.0), (top_hz, 0.0)), "at_least")))
 
 
-def _met(p: Problem, tighten: Tighten, rng: np.random.Generator) -> Iterator[Array]:
+def _inside(p: Problem, tighten: Tighten, rng: np.random.Generator) -> Iterator[Array]:
     """Points that meet all limits of a problem or nearly so, from random starts."""
     q, goal = p.coarse, Goal(tighten, objective=False, soft=None)
-    rough = [search(q, begin(q, one.x, goal), goal, _SHORT) for one in random_starts(q, rng, _DRAWS, _STARTS)]
-    best = sorted(rough, key=lambda one: goal.merit(one.measures))[:_SEARCHED_ON]
+    coarse = [search(q, initial_point(q, one.x, goal), goal, _SHORT) for one in random_starts(q, rng, _DRAWS, _STARTS)]
+    best = sorted(coarse, key=lambda one: goal.merit(one.measures))[:_SEARCHED_ON]
     for one in best:
-        end = search(p, begin(p, search(q, one, goal, _LONG).x, goal), goal, _LONG)
+        end = search(p, initial_point(p, search(q, one, goal, _LONG).x, goal), goal, _LONG)
         if goal.merit(end.measures) < _NEAR:
             yield end.x

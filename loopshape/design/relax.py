@@ -21,7 +21,7 @@ from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.rows import Tighten, in_rows, required, spare_of
-from loopshape.design.search import Goal, SearchResult, begin, search
+from loopshape.design.search import Goal, SearchResult, initial_point, search
 from loopshape.design.tighten import TightenedSolution, Verifier, least_rooms, tighten_limits
 
 #: searches for the least miss begin at this many of the race's ends, and take this many steps at most
@@ -101,38 +101,38 @@ class Shortfall(Plain):
 
 
 def shortfall(
-    p: Problem, settled: TightenedSolution, ends: Sequence[SearchResult], judge_of: Callable[[Requirements], Verifier]
+    p: Problem, settled: TightenedSolution, ends: Sequence[SearchResult], check_of: Callable[[Requirements], Verifier]
 ) -> tuple[TightenedSolution, Shortfall | None]:
     """The controller that misses least, and why the requirements were not met.
 
     None where they can be met after all, and where it is stability alone that these data do not decide.
     """
-    least = _least_miss(p, [settled.found, *ends[:ENDS]], Goal(settled.tighten, objective=False, soft=None))
+    least = _least_miss(p, [settled.result, *ends[:ENDS]], Goal(settled.tighten, objective=False, soft=None))
     if least is None:
         return settled, Shortfall(False, float("nan"), float("nan"), (), (), ())
     goal = Goal(settled.tighten)
     if least.measures.worst >= -MET:
         again = tighten_limits(
-            p, search(p, replace(least, radius=0.1), goal, 100), judge_of(p.requirements), settled.tighten
+            p, search(p, replace(least, radius=0.1), goal, 100), check_of(p.requirements), settled.tighten
         )
         if again.verdict.passed:
             return again, None
         if not any(line.slack < 0.0 for line in again.verdict.lines):  # stability alone is not decided
             return min([settled, again], key=lambda one: one.rank), None
-    judged = TightenedSolution(least, judge_of(p.requirements)(p.controller(least.x)), settled.tighten)
+    verified = TightenedSolution(least, check_of(p.requirements)(p.controller(least.x)), settled.tighten)
     pulls, helps = _certificate(p, least, settled.tighten)
     asked = dict.fromkeys(pull.quantity for pull in pulls if pull.quantity in LIMIT_OF)
     starts = [least, *ends[:ENDS]]
-    relaxed = [_relaxation(p, name, starts, settled.tighten, judge_of) for name in asked]
+    relaxed = [_relaxation(p, name, starts, settled.tighten, check_of) for name in asked]
     bounds = bounds_reached(p, least.x)
     found = Shortfall(True, max(-least.measures.worst, 0.0), helps, pulls, bounds, tuple(relaxed))
-    return min([settled, judged], key=lambda one: one.rank), found
+    return min([settled, verified], key=lambda one: one.rank), found
 
 
 def _least_miss(p: Problem, starts: Sequence[SearchResult], goal: Goal) -> SearchResult | None:
     """The end of searches where `goal` is smallest, None where no start is stable."""
-    begun = [begin(p, found.x, goal, steps=found.steps) for found in starts]
-    ends = [search(p, found, goal, STEPS) for found in begun if found.measures.stable]
+    initial = [initial_point(p, found.x, goal, steps=found.steps) for found in starts]
+    ends = [search(p, found, goal, STEPS) for found in initial if found.measures.stable]
     return min(ends, key=lambda found: goal.merit(found.measures), default=None)
 
 
@@ -179,7 +179,7 @@ def _relaxation(
     name: str,
     starts: Sequence[SearchResult],
     tighten: Tighten,
-    judge_of: Callable[[Requirements], Verifier],
+    check_of: Callable[[Requirements], Verifier],
 ) -> Relaxation:
     """How far one requirement has to give for the others to hold, and whether a tuning with that passes."""
     limit, now = LIMIT_OF[name], _now(p, name)
@@ -192,7 +192,7 @@ def _relaxation(
             asked = now + (by if limit.sense == "at_most" else -by)
             if asked <= 0.0 < now:
                 break
-            tried = _tuned(p, p.requirements.moved({name: asked - now}), least, tighten, judge_of)
+            tried = _tuned(p, p.requirements.moved({name: asked - now}), least, tighten, check_of)
             reachable, verified = asked, tried.verdict.passed
             bandwidth_hz = min(m.bandwidth_hz for m in tried.verdict.margins.values())
             slack = min((line.slack for line in tried.verdict.lines if line.quantity == name), default=0.0)
@@ -220,9 +220,9 @@ def _needed(p: Problem, name: str, least: SearchResult, tighten: Tighten) -> flo
 
 
 def _tuned(
-    p: Problem, asked: Requirements, least: SearchResult, tighten: Tighten, judge_of: Callable[[Requirements], Verifier]
+    p: Problem, asked: Requirements, least: SearchResult, tighten: Tighten, check_of: Callable[[Requirements], Verifier]
 ) -> TightenedSolution:
     """A tuning of relaxed requirements that begins where they are just met."""
     relaxed, goal = p.asked(asked), Goal(tighten)
-    found = search(relaxed, begin(relaxed, least.x, goal, 0.02), goal, 60)
-    return tighten_limits(relaxed, found, judge_of(asked), tighten)
+    found = search(relaxed, initial_point(relaxed, least.x, goal, 0.02), goal, 60)
+    return tighten_limits(relaxed, found, check_of(asked), tighten)

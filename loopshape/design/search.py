@@ -21,7 +21,7 @@ from loopshape.design.problem.rows import Tighten
 PENALTY = 20.0
 #: a search has converged where a step promises less merit than this, or the radius is smaller than that
 SETTLED, SMALLEST = 1e-6, 1e-5
-START_RADIUS = 0.3
+RADIUS_0 = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,13 +35,13 @@ class Goal:
 
     def terms(self, m: Measures) -> list[tuple[float, Array, Array]]:
         """Weight, values (k,) and slopes (k, n) of the objective's terms that count: each is its least value."""
-        wish, found = m.evaluation.p.requirements.objective, []
-        if self.objective and wish.bandwidth:
-            found.append((wish.bandwidth, m.ln_bandwidth, m.bandwidth_slopes))
-        if self.objective and wish.disturbance:
-            found.append((wish.disturbance, m.rejection, m.rejection_slopes))
-        if self.objective and wish.weighted_norm:
-            found.append((wish.weighted_norm, m.smallness, m.smallness_slopes))
+        aim, found = m.evaluation.p.requirements.objective, []
+        if self.objective and aim.bandwidth:
+            found.append((aim.bandwidth, m.ln_bandwidth, m.bandwidth_slopes))
+        if self.objective and aim.disturbance:
+            found.append((aim.disturbance, m.rejection, m.rejection_slopes))
+        if self.objective and aim.weighted_norm:
+            found.append((aim.weighted_norm, m.smallness, m.smallness_slopes))
         return found
 
     def softs(self, m: Measures) -> np.ndarray:
@@ -85,8 +85,8 @@ class SearchResult:
         return LARGEST.merit(self.measures)
 
 
-def begin(p: Problem, x: Array, goal: Goal = LARGEST, radius: float = START_RADIUS, steps: int = 0) -> SearchResult:
-    """A search that has not begun, at x."""
+def initial_point(p: Problem, x: Array, goal: Goal = LARGEST, radius: float = RADIUS_0, steps: int = 0) -> SearchResult:
+    """The search result at x before the first step."""
     return SearchResult(x, measure(p, x, goal.tighten), radius, steps, False)
 
 

@@ -22,7 +22,7 @@ from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.problem.measures import low_weights
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import LEAST, scaled
-from loopshape.design.search import LARGEST, PENALTY, SearchResult, begin, search
+from loopshape.design.search import LARGEST, PENALTY, SearchResult, initial_point, search
 from loopshape.design.structure import variables_of
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
 from loopshape.loop.margin.margins import COLUMN_OF
@@ -62,7 +62,7 @@ def _best(p: Problem, trials: Sequence[Array], keep: int) -> list[SearchResult]:
     """The best of starts from some x."""
     q = glanced(p)
     seen = sorted((scaled_start(p, q, x) for x in trials), key=lambda sight: sight.merit)[:keep]
-    return sorted((begin(p, sight.x) for sight in seen), key=lambda found: found.merit)
+    return sorted((initial_point(p, sight.x) for sight in seen), key=lambda found: found.merit)
 
 
 def race(
@@ -89,7 +89,7 @@ def race(
 
 def polished(p: Problem, end: SearchResult) -> SearchResult:
     """The end of a race on coarse lines, searched on, on all of them."""
-    found = end if end.measures.evaluation.p is p else begin(p, end.x, radius=ON, steps=end.steps)
+    found = end if end.measures.evaluation.p is p else initial_point(p, end.x, radius=ON, steps=end.steps)
     return search(p, found, LARGEST, MOST)
 
 
@@ -104,7 +104,7 @@ def leaps(p: Problem, best: SearchResult, rng: np.random.Generator, count: int) 
         mine = np.array([v.block == blocks[k % len(blocks)] for v in p.variables])
         draws = [np.where(mine, p.low + rng.random(mine.size) * (p.high - p.low), best.x) for _ in range(4)]
         seen = min((scaled_start(p, q, x, 5) for x in draws), key=lambda sight: sight.merit)
-        found = search(p, begin(p, seen.x), LARGEST, LEAP, ROUGH)
+        found = search(p, initial_point(p, seen.x), LARGEST, LEAP, ROUGH)
         if found.merit < best.merit + NEAR:
             found = search(p, found, LARGEST, HEATS[-1], ROUGH)
         steps += found.steps
@@ -121,7 +121,7 @@ _RANGES = 8
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
+class _QuickResult:
     """What is seen of a start: its merit, infinite where a loop is unstable, and x."""
 
     merit: float
@@ -139,9 +139,9 @@ def glanced(p: Problem) -> QuickReadings:
     return QuickReadings(
         f=p.f,
         P=p.P,
-        reach=p.reach,
+        radius=p.radius,
         first=p.first,
-        measured=p.first[:-1] + p.led,
+        measured=p.first[:-1] + p.below,
         line=p.line,
         first_below=p.first_below,
         fitted=p.fitted,
@@ -176,7 +176,7 @@ def _limits(p: Problem) -> tuple[Array, Array, Array]:
     return level, sign, factor
 
 
-def scaled_start(p: Problem, q: QuickReadings, x: Array, halvings: int = 6) -> _Sight:
+def scaled_start(p: Problem, q: QuickReadings, x: Array, halvings: int = 6) -> _QuickResult:
     """A start from x, its first free gain (where there is one) about as large as all requirements allow, by halving.
 
     Where halving meets no stable loop the gain may have to be larger: an unstable plant needs a least gain.
@@ -191,7 +191,7 @@ def scaled_start(p: Problem, q: QuickReadings, x: Array, halvings: int = 6) -> _
     k = next((k for k, v in enumerate(p.variables) if v.name == "gain"), None)
     best, shift = look(0.0)[0], 0.0
     if k is None:
-        return _Sight(best, x)
+        return _QuickResult(best, x)
     low, high = float(p.low[k] - x[k]), float(p.high[k] - x[k])
     for _ in range(halvings):
         trial = 0.5 * (low + high)
@@ -204,7 +204,7 @@ def scaled_start(p: Problem, q: QuickReadings, x: Array, halvings: int = 6) -> _
             merit, _ = look(trial, best)
             if merit < best:
                 best, shift = merit, trial
-    return _Sight(best, np.where(np.arange(x.size) == k, x + shift, x))
+    return _QuickResult(best, np.where(np.arange(x.size) == k, x + shift, x))
 
 
 def _between_passages(e: Evaluation, low: float, high: float) -> Array:
@@ -258,13 +258,13 @@ def _race(p: Problem, candidates: Sequence[SearchResult], seed: int, done: Seque
     """A race of candidates and of what the structures with one block less ended at."""
     found = ((k, [one for one in done if _same(one.p.templates, less.templates)]) for k, less in without_one(p))
     less = tuple((k, known[0]) for k, known in found if known)
-    also = [begin(p.coarse, embedded(p, k, one.ends[0].x)) for k, one in less]
+    also = [initial_point(p.coarse, embedded(p, k, one.ends[0].x)) for k, one in less]
     mine = candidates[: (len(candidates) + 1) // 2] if less else candidates
     ends, steps = race(p.coarse, mine, np.random.default_rng([seed, 1]), also)
     return Tournament(p, [*ends, *also], steps, less)
 
 
-def settled(r: Tournament, judge: Verifier) -> tuple[TightenedSolution, int]:
+def settled(r: Tournament, verifier: Verifier) -> tuple[TightenedSolution, int]:
     """The best of what a race's ends settle at, and the steps taken; best first, while one may still be better.
 
     What a smaller structure settles at is tried too where that may be better, or where no end passes.
@@ -281,16 +281,16 @@ def settled(r: Tournament, judge: Verifier) -> tuple[TightenedSolution, int]:
         if best is not None and (not np.isfinite(found.merit) or _hopeless(found.merit, best) or _near(found.x, seen)):
             continue
         seen += [end.x, found.x]
-        again = tighten_limits(r.p, found, judge)
-        steps += again.found.steps - found.steps
+        again = tighten_limits(r.p, found, verifier)
+        steps += again.result.steps - found.steps
         best = again if best is None else min([best, again], key=lambda one: one.rank)
     assert best is not None, "a race has an end"
     for k, less in r.less:
         if _hopeless(less.ends[0].merit - _CLOSE, best):
             continue
-        smaller, more = settled(less, judge)
-        found = begin(r.p, embedded(r.p, k, smaller.found.x))
-        again = TightenedSolution(found, judge(r.p.controller(found.x)), smaller.tighten)
+        smaller, more = settled(less, verifier)
+        found = initial_point(r.p, embedded(r.p, k, smaller.result.x))
+        again = TightenedSolution(found, verifier(r.p.controller(found.x)), smaller.tighten)
         steps, best = steps + more, min([best, again], key=lambda one: one.rank)
     return best, steps
 

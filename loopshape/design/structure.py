@@ -28,7 +28,7 @@ class Variable:
     start: float | None
 
 
-def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -> None:
+def refuse(loops: Sequence[Loop], requirements: Requirements, *, disturbed: bool) -> None:
     """Refuse what cannot be tuned: no structure, nothing free, nothing that holds L off -1, unknown poles, or a limit
     on the error where nothing tells what disturbs the loop.
     """
@@ -38,7 +38,7 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, shaken: bool) -
             "",
             "add structure = [ { kind = ..., ... } ] with min and max for what may move",
         )
-    if "error_rms" in requirements.limited() and not shaken:
+    if "error_rms" in requirements.limited() and not disturbed:
         raise WrongUseError(
             f"error_rms of loop {requirements.loop!r} needs what disturbs the loop",
             "no disturbance",

@@ -16,7 +16,7 @@ from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import Measures, measure
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, required, spare_of
-from loopshape.design.search import Goal, SearchResult, begin, search
+from loopshape.design.search import Goal, SearchResult, initial_point, search
 
 
 class Verifier(Protocol):
@@ -48,7 +48,7 @@ DIPPED, HIGHER = 0.05, 0.1
 class TightenedSolution:
     """A search's end, `check`'s verdict on it, and the tightening under which it was searched."""
 
-    found: SearchResult
+    result: SearchResult
     verdict: Verdict
     tighten: Tighten
 
@@ -61,17 +61,17 @@ class TightenedSolution:
     @property
     def objective(self) -> float:
         """The objective with the bandwidth that the check reads where that is less, and the norm where it is more."""
-        m = self.found.measures
-        read, wish = bandwidths(self.verdict), m.evaluation.p.requirements.objective
-        known = wish.bandwidth and np.isfinite(read).any()
+        m = self.result.measures
+        read, aim = bandwidths(self.verdict), m.evaluation.p.requirements.objective
+        known = aim.bandwidth and np.isfinite(read).any()
         less = float(np.log(np.nanmin(read)) - m.ln_bandwidth.min()) if known else 0.0
-        more = float(np.log(norm(self.verdict)[0]) + m.smallness.min()) if wish.weighted_norm else 0.0
-        return m.objective() + wish.bandwidth * min(less, 0.0) - wish.weighted_norm * max(more, 0.0)
+        more = float(np.log(norm(self.verdict)[0]) + m.smallness.min()) if aim.weighted_norm else 0.0
+        return m.objective() + aim.bandwidth * min(less, 0.0) - aim.weighted_norm * max(more, 0.0)
 
     @property
     def dipped(self) -> np.ndarray:
         """Operating points (points,) whose first 0 dB crossing the check reads well below the tuner: |L| dips to 1."""
-        m = self.found.measures
+        m = self.result.measures
         if not m.evaluation.p.requirements.objective.bandwidth:
             return np.zeros(m.ln_bandwidth.size, dtype=bool)
         return np.asarray(np.log(bandwidths(self.verdict)) < m.ln_bandwidth - DIPPED)
@@ -102,9 +102,9 @@ def miss(verdict: Verdict) -> float:
 
 
 def tighten_limits(
-    p: Problem, best: SearchResult, judge: Verifier, tighten: Tighten | None = None
+    p: Problem, best: SearchResult, verifier: Verifier, tighten: Tighten | None = None
 ) -> TightenedSolution:
-    """The best that passes `judge`, whose word is final: its readings are finer, and count to the bad end of their
+    """The best that passes `verifier`, whose word is final: its readings are finer, and count to the bad end of their
     95 % intervals.
 
     Each round asks it how much less slack than the tuner it sees, for each quantity at each operating point, tightens
@@ -112,20 +112,20 @@ def tighten_limits(
     which `best` was found.
     """
     if tighten is None:
-        best, tighten = _foreseen(p, best, judge)
+        best, tighten = _foreseen(p, best, verifier)
     tried: list[TightenedSolution] = []
     for k in range(ROUNDS):
-        tried.append(TightenedSolution(best, judge(p.controller(best.x)), tighten))
+        tried.append(TightenedSolution(best, verifier(p.controller(best.x)), tighten))
         asked = allowances(p, best.x, tried[-1].verdict)
-        if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].found.x)):
+        if _done(tried[-1], asked, k) or (len(tried) > 1 and np.array_equal(best.x, tried[-2].result.x)):
             break
         tighten = _tightened(p, tighten, asked, tried[-1], firm=k >= FIRM)
-        best, tighten = _nearer(p, _searched_on(p, best, tighten), tighten, judge, firm=k >= FIRM)
+        best, tighten = _nearer(p, _searched_on(p, best, tighten), tighten, verifier, firm=k >= FIRM)
     return min(tried, key=lambda one: one.rank)
 
 
-def _foreseen(p: Problem, best: SearchResult, judge: Verifier) -> tuple[SearchResult, Tighten]:
-    """The search taken on by what `judge` asks for at the operating points that bind, where these are a minority.
+def _foreseen(p: Problem, best: SearchResult, verifier: Verifier) -> tuple[SearchResult, Tighten]:
+    """The search taken on by what `verifier` asks for at the operating points that bind, where these are a minority.
 
     The others, which have room, are then read once, at the end.
     """
@@ -133,16 +133,16 @@ def _foreseen(p: Problem, best: SearchResult, judge: Verifier) -> tuple[SearchRe
     binding = np.flatnonzero((_rooms(p, m) < WATCHED) | (m.ln_bandwidth < m.ln_bandwidth.min() + WATCHED))
     if 2 * binding.size > p.points or not m.stable:
         return best, {}
-    verdict = judge(p.controller(best.x), binding.tolist())
+    verdict = verifier(p.controller(best.x), binding.tolist())
     asked = allowances(p, best.x, verdict, binding)
     tighten = {name: _a_little_more(p, name, needed, needed) for name, needed in asked.items()}
     return _searched_on(p, best, tighten), tighten
 
 
 def _nearer(
-    p: Problem, best: SearchResult, tighten: Tighten, judge: Verifier, *, firm: bool
+    p: Problem, best: SearchResult, tighten: Tighten, verifier: Verifier, *, firm: bool
 ) -> tuple[SearchResult, Tighten]:
-    """The search taken on by what `judge` still asks for at the operating points that bind, where these are a minority.
+    """The search continued with what `verifier` asks for at the operating points that bind, where these are a minority.
 
     What it asks changes with x, and there it counts: so fewer rounds read all points. `firm` as in `_tightened`.
     """
@@ -150,7 +150,7 @@ def _nearer(
         binding = np.flatnonzero(_rooms(p, best.measures) < CLOSE)
         if not 0 < 2 * binding.size <= p.points or not best.measures.stable:
             break
-        asked = allowances(p, best.x, judge(p.controller(best.x), binding.tolist()), binding)
+        asked = allowances(p, best.x, verifier(p.controller(best.x), binding.tolist()), binding)
         given = {name: np.broadcast_to(np.asarray(tighten.get(name, 0.0)), p.points) for name in asked}
         if all(np.all(needed <= given[name]) for name, needed in asked.items()):
             break
@@ -167,7 +167,7 @@ def _nearer(
 def _searched_on(p: Problem, best: SearchResult, tighten: Tighten) -> SearchResult:
     """The search taken on from where it ended, under limits tightened otherwise."""
     goal = Goal(tighten)
-    return search(p, begin(p, best.x, goal, 0.05, best.steps), goal, 60)
+    return search(p, initial_point(p, best.x, goal, 0.05, best.steps), goal, 60)
 
 
 def _rooms(p: Problem, m: Measures) -> Array:
@@ -222,7 +222,7 @@ def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:
 
 def _done(now: TightenedSolution, asked: Mapping[str, Array], k: int) -> bool:
     """Whether it passes and little was wasted, or cannot pass although the tightening is about right."""
-    m, waste = now.found.measures, 0.0
+    m, waste = now.result.measures, 0.0
     p = m.evaluation.p
     for name, room in least_rooms(p, m).items():
         off = np.abs(in_rows(name, required(p, name, {}), np.asarray(now.tighten.get(name, 0.0)) - asked[name]))
@@ -244,9 +244,9 @@ def _tightened(
         next_one = _a_little_more(p, name, needed, rise)
         out[name] = np.maximum(given, next_one + 0.3 * rise) if firm else next_one
     lines = {line.quantity: line.slack for line in verdict.lines}
-    name, wish = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz
-    if wish is not None:  # of C alone, without an interval, and between lines read a little otherwise
-        missed = -lines[name] / wish if lines[name] < 0.0 else 0.0
+    name, aim = "controller_bandwidth_hz", p.requirements.controller_bandwidth_hz
+    if aim is not None:  # of C alone, without an interval, and between lines read a little otherwise
+        missed = -lines[name] / aim if lines[name] < 0.0 else 0.0
         out[name] = float(np.max(before.get(name, 0.0))) + (2.0 * missed + 1e-5 if missed else 0.0)
     unsure = np.array([m.stable is not ClosedLoop.STABLE for m in verdict.margins.values()])
     sure, dip = (np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points) for name in (SURE, DIP))

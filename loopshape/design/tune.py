@@ -22,9 +22,9 @@ from loopshape.design.growth import (
     Grown,
     Stage,
     Task,
+    blockwise_growth,
     closed_in,
     grown,
-    lifted,
     lowest_bandwidth,
     pays,
     step_of,
@@ -34,7 +34,7 @@ from loopshape.design.problem.peaks import NORM
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.shifts import copies_for
 from loopshape.design.relax import Shortfall, shortfall
-from loopshape.design.search import SearchResult, begin
+from loopshape.design.search import SearchResult, initial_point
 from loopshape.design.starts import random_starts, settled, tournament
 from loopshape.design.tighten import TightenedSolution, Verifier, norm
 from loopshape.loop.verdict import loops_of, refuse_too_high
@@ -147,22 +147,22 @@ def tune(
     precision = "double" if start is None else start.precision
     task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), notes, unit, precision, tuple(disturbances))
     copies = copies_for(requirements, len(loops))
-    p, judge_of = task.problem(copies, requirements)
-    judge = judge_of(requirements)
+    p, check_of = task.problem(copies, requirements)
+    verifier = check_of(requirements)
     candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
     run = tournament(p, candidates, seed, draws, starts)
-    best, steps = settled(run, judge)
+    best, steps = settled(run, verifier)
     why = None
     if not best.verdict.passed and explain and not grow:
-        best, why = shortfall(p, best, run.ends, judge_of)
+        best, why = shortfall(p, best, run.ends, check_of)
     if start is not None:
-        best = _no_worse(p, best, candidates[0].x, judge)
+        best = _no_worse(p, best, candidates[0].x, verifier)
     first = closed_in(task, Stage(copies, requirements, p, best, task.check(p, best), steps))
     stages = _stages(task, first, grow, least_gain, seed, starts)
     last = stages[-1]
     if grow and explain and not last.verdict.passed:
-        p, judge_of = task.problem(last.copies, last.asked)
-        best, why = shortfall(p, last.best, [last.best.found], judge_of)
+        p, check_of = task.problem(last.copies, last.asked)
+        best, why = shortfall(p, last.best, [last.best.result], check_of)
         last = replace(last, best=best, verdict=task.check(p, best))
     steps = sum(stage.steps for stage in stages)
     return _tuning(last, why, len(candidates), steps, moved, tuple(step_of(stage) for stage in stages) if grow else ())
@@ -171,7 +171,7 @@ def tune(
 def _stages(task: Task, first: Stage, grow: int, least_gain: float, seed: int, starts: int) -> list[Stage]:
     """The first stage and what grows of it: block by block, or from several at once where that ends better."""
     best = _one_by_one(task, [first], grow, least_gain, seed, starts)
-    at_once = lifted(task, first, grow, np.random.default_rng([seed, 3])) if grow > 1 else None
+    at_once = blockwise_growth(task, first, grow, np.random.default_rng([seed, 3])) if grow > 1 else None
     if at_once is None:
         return best
     left = grow - (len(at_once.asked.structure) - len(first.asked.structure))
@@ -208,13 +208,13 @@ def _candidates(
         return random_starts(p.coarse, rng, draws, starts), ()
     x, moved = warm_start(p, start)
     others = random_starts(p.coarse, rng, draws, starts - 1) if starts > 1 else []
-    return [begin(p.coarse, x), *others], moved
+    return [initial_point(p.coarse, x), *others], moved
 
 
-def _no_worse(p: Problem, best: TightenedSolution, x: Array, judge: Verifier) -> TightenedSolution:
+def _no_worse(p: Problem, best: TightenedSolution, x: Array, verifier: Verifier) -> TightenedSolution:
     """What was found, or the start where that passes and is better."""
-    began = begin(p, x, steps=best.found.steps)
-    start = TightenedSolution(began, judge(p.controller(x)), {})
+    initial = initial_point(p, x, steps=best.result.steps)
+    start = TightenedSolution(initial, verifier(p.controller(x)), {})
     return start if start.verdict.passed and start.rank < best.rank else best
 
 
@@ -222,20 +222,20 @@ def _tuning(
     stage: Stage, why: Shortfall | None, starts: int, steps: int, moved: tuple[str, ...], growth: tuple[Grown, ...]
 ) -> Tuning:
     p, best, verdict = stage.p, stage.best, stage.verdict
-    m, wish = best.found.measures, p.requirements.objective
+    m, aim = best.result.measures, p.requirements.objective
     reached, interval = norm(verdict) if p.requirements.weights else (None, None)
     return Tuning(
-        controller=p.controller(best.found.x),
+        controller=p.controller(best.result.x),
         verdict=verdict,
         bandwidth_hz=lowest_bandwidth(stage),
-        binding=_binding(p, best.found),
+        binding=_binding(p, best.result),
         feasible=verdict.passed,
         starts=starts,
         steps=steps,
-        converged=best.found.converged,
-        bounds_reached=bounds_reached(p, best.found.x),
+        converged=best.result.converged,
+        bounds_reached=bounds_reached(p, best.result.x),
         objective=best.objective,
-        rejection_db=float(db(np.exp(m.rejection.min()))) if wish.disturbance else None,
+        rejection_db=float(db(np.exp(m.rejection.min()))) if aim.disturbance else None,
         weighted_norm=reached,
         weighted_norm_interval=interval,
         shortfall=why,
@@ -256,14 +256,14 @@ def _largest(p: Problem, m: Measures, tolerance: float) -> list[tuple[str, float
 
 def _binding(p: Problem, found: SearchResult, tolerance: float = 2e-3) -> tuple[Binding, ...]:
     """Operating points where the objective's terms are lowest and requirements without room, tightest first."""
-    m, wish = found.measures, p.requirements.objective
+    m, aim = found.measures, p.requirements.objective
     out = []
-    if wish.bandwidth:
+    if aim.bandwidth:
         lowest = np.flatnonzero(m.ln_bandwidth <= m.ln_bandwidth.min() + tolerance)
         out += [Binding("bandwidth_hz", p.names[i], float(np.exp(m.ln_bandwidth[i]))) for i in lowest]
-    if wish.disturbance_below_hz is not None:
+    if aim.disturbance_below_hz is not None:
         lowest = np.flatnonzero(m.rejection <= m.rejection.min() + tolerance)
-        out += [Binding("disturbance", p.names[i], wish.disturbance_below_hz) for i in lowest]
+        out += [Binding("disturbance", p.names[i], aim.disturbance_below_hz) for i in lowest]
     out += [Binding(NORM, *place) for place in _largest(p, m, tolerance)]
     seen = {(b.quantity, b.recording) for b in out}
     for k in np.argsort(m.room):

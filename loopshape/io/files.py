@@ -327,9 +327,9 @@ _SLIPS = (
 )
 
 
-def _refuse_slip(path: Path, text: str, said: str) -> None:
+def _refuse_slip(path: Path, text: str, message: str) -> None:
     """Refuse TOML that a frequent slip of the pen spoils, with its line and the cure; other damage is left to TOML."""
-    found = re.search(r"at line (\d+)", said)
+    found = re.search(r"at line (\d+)", message)
     line = text.splitlines()[int(found[1]) - 1].strip() if found else ""
     inner = re.search(r"=\s*([A-Za-z]\w*)\s*[,}]", line)
     if inner and inner[1] not in ("true", "false", "inf", "nan"):

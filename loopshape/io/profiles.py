@@ -28,15 +28,15 @@ def read_profiles(path: Path = OWN) -> dict[str, Profile]:
     return {one.name: one for one in found}
 
 
-def profile_of(said: str) -> Profile:
+def profile_of(name_or_file: str) -> Profile:
     """The profile that an option names: NAME of those that come along, FILE:NAME, or FILE that holds one alone."""
-    file, colon, name = said.rpartition(":")
-    if not colon and said.endswith(".toml"):
-        file, name = said, ""
+    file, colon, name = name_or_file.rpartition(":")
+    if not colon and name_or_file.endswith(".toml"):
+        file, name = name_or_file, ""
     known = read_profiles(Path(file)) if file else read_profiles()
     if not name and len(known) == 1:
         return next(iter(known.values()))
-    refuse_unknown("a profile is not known", name or said, [*known, "FILE.toml:NAME"])
+    refuse_unknown("a profile is not known", name or name_or_file, [*known, "FILE.toml:NAME"])
     return known[name]
 
 

@@ -61,7 +61,7 @@ def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
     lines = [x for loop in both for x in _lines(loop, theirs[loop].verdict, mine[loop].verdict)]
     stabilities = [x for loop in both for x in _stabilities(loop, theirs[loop].verdict, mine[loop].verdict)]
     pairs = [pair for loop in both for pair in _pairs(theirs[loop], mine[loop])]
-    margins = _judged(pairs)
+    margins = _compared(pairs)
     moved = {change.loop for change in margins if change.outcome is not Change.UNCHANGED}
     notes = [note for loop in both for note in _underneath(theirs[loop], mine[loop], loop in moved)]
     return Comparison(
@@ -98,10 +98,10 @@ def same_controller(one: Controller, other: Controller) -> bool:
 def _lines(loop: str, before: Verdict, now: Verdict) -> list[LineChange]:
     was, found = ({line.quantity: line for line in v.lines} for v in (before, now))
     changes = [LineChange(loop, q, was.get(q), found.get(q)) for q in dict.fromkeys((*was, *found))]
-    return [c for c in changes if _said(c.before) != _said(c.now)]
+    return [c for c in changes if _sentence_of(c.before) != _sentence_of(c.now)]
 
 
-def _said(line: RequirementResult | None) -> tuple[str, float] | None:
+def _sentence_of(line: RequirementResult | None) -> tuple[str, float] | None:
     return None if line is None else (line.outcome, line.required)
 
 
@@ -121,8 +121,8 @@ class _Pair:
         self.before, self.now = was[limit.name].value, found[limit.name].value
         self.was, self.found = was[limit.name].interval, found[limit.name].interval
         self.common = common
-        below_was, above_was = _reach(self.before, self.was)
-        below_now, above_now = _reach(self.now, self.found)
+        below_was, above_was = _half_widths(self.before, self.was)
+        below_now, above_now = _half_widths(self.now, self.found)
         none = common or not (isfinite(self.before) and isfinite(self.now))
         self.below, self.above = (0.0, 0.0) if none else (hypot(below_now, above_was), hypot(above_now, below_was))
 
@@ -133,7 +133,7 @@ class _Pair:
         return not (any(map(isnan, values)) or -inf in values)
 
 
-def _reach(value: float, interval: tuple[float, float] | None) -> tuple[float, float]:
+def _half_widths(value: float, interval: tuple[float, float] | None) -> tuple[float, float]:
     return (0.0, 0.0) if interval is None else (max(value - interval[0], 0.0), max(interval[1] - value, 0.0))
 
 
@@ -151,15 +151,15 @@ def _comparable(was: Margins, found: Margins) -> bool:
     return was.stable is found.stable is not ClosedLoop.UNSTABLE
 
 
-def _judged(pairs: Sequence[_Pair]) -> list[MarginChange]:
+def _compared(pairs: Sequence[_Pair]) -> list[MarginChange]:
     known = [pair for pair in pairs if pair.known]
     uncertain = sum(pair.below > 0.0 or pair.above > 0.0 for pair in known)
     one = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM)
     widen = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(uncertain, 1)) / one
-    return [_judge(pair, widen) for pair in known]
+    return [_compare(pair, widen) for pair in known]
 
 
-def _judge(pair: _Pair, widen: float) -> MarginChange:
+def _compare(pair: _Pair, widen: float) -> MarginChange:
     limit = pair.limit
     low = high = change = 0.0 if pair.now == pair.before else pair.now - pair.before
     if not isfinite(change) and not pair.common:

@@ -31,7 +31,7 @@ from loopshape.data.result.margins import Margins, Reading
 from loopshape.identify.smooth.resonances import Resonance
 from loopshape.loop.margin.margins import COLUMN_OF, Reader
 from loopshape.loop.shifted import Plant, ShiftedColumns, plant_of, read, scatter_of, seen_resonances
-from loopshape.loop.stability.obstacles import REACH_95
+from loopshape.loop.stability.obstacles import RADIUS_95
 
 #: steps between shifts, in per cent: up to what is required, and farther out
 COARSE, FINE, FINEST = 0.5, 0.25, 0.05
@@ -160,8 +160,8 @@ class _Search:
         """How far the bad (-1) or good (1) end of the unmoved loop's intervals lies from the estimate `now`."""
         ends = np.array([x.on_column(np.array(self.margins[x.name].ends)) for x in self.limits]).reshape(-1, 2)
         with np.errstate(invalid="ignore"):
-            reach = end * np.max(end * self.signs[:, None] * (ends - now[:, None]), axis=1)
-        return np.where(np.isfinite(reach), reach, 0.0)
+            half_width = end * np.max(end * self.signs[:, None] * (ends - now[:, None]), axis=1)
+        return np.where(np.isfinite(half_width), half_width, 0.0)
 
     def reading(self, percent: float) -> ShiftedColumns:
         """The loop at a shift."""
@@ -175,9 +175,9 @@ class _Search:
         if end == 0.0:
             return left
         there = np.isfinite(left)  # a crossing that is nowhere stays nowhere
-        return np.where(there, np.where(there, left, 0.0) + self._reach(percent, end), left)
+        return np.where(there, np.where(there, left, 0.0) + self._searched(percent, end), left)
 
-    def _reach(self, percent: float, end: float) -> Array:
+    def _searched(self, percent: float, end: float) -> Array:
         """How far the ends lie from the estimate: as of the unmoved loop, grown as draws' deviations grow."""
         if not self.drawn or percent == 0.0:
             return self.known[end]
@@ -196,14 +196,14 @@ class _Search:
     def _scatter(self, percent: float) -> tuple[Array, Array]:
         if percent not in self.scatters:
             plant, reading = self.moved(0.01 * percent), self.reading(percent)
-            bias, reach = scatter_of(self.loop, plant, self.reader, reading)
-            self.scatters[percent] = bias[self.columns], reach[self.columns]
+            bias, half_width = scatter_of(self.loop, plant, self.reader, reading)
+            self.scatters[percent] = bias[self.columns], half_width[self.columns]
         return self.scatters[percent]
 
     def stable(self, percent: float, end: float = 0.0) -> bool:
         """Whether the loop is stable at a shift: by the estimate, surely (-1), or perhaps (1)."""
         x = self.reading(percent)
-        balanced, sure = x.poles is not None and x.poles == self.poles, x.clear > REACH_95
+        balanced, sure = x.poles is not None and x.poles == self.poles, x.clear > RADIUS_95
         return (balanced and sure) if end < 0.0 else (balanced or not sure) if end > 0.0 else balanced
 
     def holds(self, percent: float, end: float = 0.0) -> bool:

@@ -18,7 +18,7 @@ from loopshape.loop.margin.between import path_of
 from loopshape.loop.points import point_outcome
 from loopshape.loop.stability.holes import POOR, median_of_five
 from loopshape.loop.stability.low_end import crossover_below, in_sight
-from loopshape.loop.stability.obstacles import Obstacle
+from loopshape.loop.stability.obstacles import Undecided
 from loopshape.loop.stability.stability import LOWER, Stability, closed_loop_stability, obstacles_of
 
 #: lines that do not show what lies between them are asked for so many times closer, those of a limit so many
@@ -89,15 +89,15 @@ def _for_count(loop: Loop, stability: Stability) -> Iterator[_Wanted]:
     """What the count of encirclements wants: all that stands in its way, not only what is named first."""
     path = path_of(loop)
     first, last = float(path.f[0]), float(path.f[-1])
-    for one in (Obstacle(stability.reason, stability.band_hz), *obstacles_of(loop)):
+    for one in (Undecided(stability.reason, stability.band_hz), *obstacles_of(loop)):
         if one.band_hz is None:
             continue
         low, high = min(one.band_hz[0], last), max(one.band_hz[1], first)  # no stretch stays unknown on the way there
         here = (path.f >= low) & (path.f <= high) & (path.std > 0.0) & (path.line | (not one.finer))
-        reach = float((np.abs(1.0 + path.L[here]) / path.std[here]).min(initial=np.inf))
+        distance = float((np.abs(1.0 + path.L[here]) / path.std[here]).min(initial=np.inf))
         if low >= last * (1.0 - 1e-9):
             high *= HIGHER
-        yield _Wanted(low, high, _times(1.0, CLEAR / max(reach, 0.5)), FINER if one.finer else 1.0)
+        yield _Wanted(low, high, _times(1.0, CLEAR / max(distance, 0.5)), FINER if one.finer else 1.0)
 
 
 def _times(least: float, std_over: float) -> float:
@@ -229,5 +229,5 @@ def longer(value: float, bad: float, good: float, required: float, sign: float) 
     room = sign * (value - required)
     if not np.isfinite(value):
         return float("inf")
-    reach = abs(value - (bad if room >= 0.0 else good))
-    return float((reach / abs(room)) ** 2) if room else float("inf")
+    distance = abs(value - (bad if room >= 0.0 else good))
+    return float((distance / abs(room)) ** 2) if room else float("inf")

@@ -17,13 +17,13 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
-from loopshape.loop.margin.between import followed
+from loopshape.loop.margin.between import interpolated
 from loopshape.loop.margin.margins import Reader
-from loopshape.loop.stability.low_end import DOWN, in_sight, low_models
+from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, low_models
 from loopshape.loop.stability.stability import count_unstable, swing_near
 
 #: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
-DRAWN, REACH = 40, 2.02
+DRAWN, HALF_WIDTH_STD = 40, 2.02
 #: a resonance narrower than so many gaps between lines is followed between them, at these places in half widths
 NARROW, PLACES = 1.0, np.tan(np.linspace(-1.4, 1.4, 21))
 #: resonances whose peak of |L|, with the controller at the best of these shifts, stays below this matter to nobody
@@ -47,7 +47,7 @@ class ShiftedColumns:
 class Plant:
     """Lines f (nf,) in Hz and P (nf,) that margins are read from, with the deviation (nf,) of P.
 
-    `followed` are resonances narrower than the lines. `below_hz` and `P_below` (nb,) lead below the first line,
+    `interpolated` are resonances narrower than the lines. `below_hz` and `P_below` (nb,) lead below the first line,
     `above_hz` above the last.
     `errors` (draws, n) are of n lines, of which f are the `at` (nf,)-th and a `share` (nf,) of the way to the next.
     """
@@ -59,7 +59,7 @@ class Plant:
     below_hz: Array
     P_below: ComplexArray
     above_hz: Array
-    followed: tuple[Resonance, ...] = ()
+    interpolated: tuple[Resonance, ...] = ()
     at: np.ndarray | None = None
     share: Array | None = None
 
@@ -79,11 +79,11 @@ class Plant:
 
     def dense(self) -> Plant:
         """The plant on more lines, about its narrow resonances."""
-        return self._dense(self.followed, 0.0, None)
+        return self._dense(self.interpolated, 0.0, None)
 
     def with_moved(self, one: Resonance, shift: float) -> Plant:
         """The plant with one of its resonances shifted alone, on lines dense about the narrow ones."""
-        taken = self.followed if one in self.followed else (*self.followed, one)
+        taken = self.interpolated if one in self.interpolated else (*self.interpolated, one)
         change = one.response(self.below_hz, shift) - one.response(self.below_hz)
         return replace(self._dense(taken, shift, one), P_below=self.P_below + change)
 
@@ -95,7 +95,7 @@ class Plant:
         places = [
             (1.0 + s) * (x.frequency_hz + abs(x.pole_hz.imag) * PLACES)
             for x, s in zip(taken, shifts, strict=True)
-            if x in self.followed
+            if x in self.interpolated
         ]
         f = np.unique(np.concatenate([self.f, *places]))
         f = f[(f >= self.f[0]) & (f <= self.f[-1])]
@@ -159,11 +159,11 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
         after = np.clip(np.searchsorted(f, [x.frequency_hz for x in seen]), 1, f.size - 1)
         narrow = [x for x, k in zip(seen, after, strict=True) if abs(x.pole_hz.imag) < NARROW * (f[k] - f[k - 1])]
     else:
-        dense, _ = followed(loop)
+        dense, _ = interpolated(loop)
         f, P, draws = dense.frequency_hz, dense.response, dense.deviations[:DRAWN]
         std = np.interp(f, loop.frequency_hz, std)
     for model in low_models(loop)[:1] if abs(loop.L[0]) < 1.0 and in_sight(loop) else ():
-        below = float(f[0]) * DOWN[1:]
+        below = float(f[0]) * BELOW_RATIOS[1:]
         ahead = model.response(below)
         std = np.concatenate([std[0] * np.abs(ahead / P[0]), std])
         draws = None if draws is None else np.concatenate([ahead / P[0] * draws[:, :1], draws], axis=1)
@@ -205,7 +205,7 @@ def scatter_of(loop: Loop, plant: Plant, reader: Reader, reading: ShiftedColumns
     drawn, _ = reader.read(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, least=loop.largest_above)
     known = np.isfinite(drawn).all(axis=0) & np.isfinite(reading.values)
     off = np.where(known, drawn, 0.0) - np.where(known, reading.values, 0.0)
-    return off.mean(axis=0), np.where(known, REACH * off.std(axis=0), np.inf)
+    return off.mean(axis=0), np.where(known, HALF_WIDTH_STD * off.std(axis=0), np.inf)
 
 
 def _responses(loop: Loop, plant: Plant) -> tuple[Array, ComplexArray, Array, ComplexArray, ComplexArray]:

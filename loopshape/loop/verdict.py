@@ -29,7 +29,7 @@ from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import point_outcome
 from loopshape.loop.predict.step_response import models_within
 from loopshape.loop.stability.low_end import low_order
-from loopshape.loop.stability.obstacles import REACH_95, Obstacle
+from loopshape.loop.stability.obstacles import RADIUS_95, Undecided
 from loopshape.loop.stability.stability import unstable_count
 
 #: draws of a fit's parameters from which its deviation below the lowest line is taken
@@ -148,7 +148,7 @@ def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
     if not rows.any():
         return None
     found = frf.select(rows)
-    return replace(found, response=found.response * (1.0 + REACH_95 * relative[rows])[:, None, None])
+    return replace(found, response=found.response * (1.0 + RADIUS_95 * relative[rows])[:, None, None])
 
 
 def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirements) -> tuple[Fit | None, str]:
@@ -252,7 +252,7 @@ def _held_poles(
         return None
     loop = Loop(frf, frf.recorded_under, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
     missing = unstable_count(loop)
-    return None if isinstance(missing, Obstacle) else -missing
+    return None if isinstance(missing, Undecided) else -missing
 
 
 def check(

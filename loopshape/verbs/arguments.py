@@ -19,7 +19,7 @@ def controller_of(given: Controller | Tuning) -> Controller:
     return given.controller if isinstance(given, Tuning) else given
 
 
-def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
+def equivalent_plants(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
     """The plants, and the requirements with what a diagram tells of their unstable poles."""
     if not isinstance(P, Diagram):
         return plants_of(P), R
@@ -30,7 +30,7 @@ def met(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
 def plants_of(P: Plants) -> tuple[FRF, ...]:
     """FRFs of one loop, of a diagram those that its tuned block meets; several without a name are numbered."""
     if isinstance(P, Diagram):
-        return met(P, Requirements(P.tuned))[0]
+        return equivalent_plants(P, Requirements(P.tuned))[0]
     plants = (P,) if isinstance(P, FRF) else tuple(P)
     if wrong := [type(x).__name__ for x in plants if not isinstance(x, FRF)]:
         raise WrongUseError(

@@ -23,7 +23,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
-from loopshape.verbs.arguments import Plants, controller_of, met, plants_of
+from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants, plants_of
 from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
@@ -191,13 +191,13 @@ def tune(
         return _tune_several(plants, R, start, together, recorded_under, watch or Unwatched(), seed=seed, starts=starts)
     if isinstance(start, Sequence):
         raise WrongUseError("one loop starts from one controller", f"{len(start)} of them", "give its own")
-    plants, R = met(P, R)
+    plants, R = equivalent_plants(P, R)
     asked = R if structure is None else replace(R, structure=tuple(structure))
     asked = replace(asked, structure=bounded(asked.structure, plants))
-    began = None if start is None else controller_of(start)
+    initial = None if start is None else controller_of(start)
     return tune_loop(
-        plants, asked, tuple(fits), start=began, seed=seed, starts=starts, grow=grow, least_gain=least_gain,
-        disturbances=disturbances_of(disturbance, plants[0].loop),
+        plants, asked, tuple(fits), start=initial, seed=seed, starts=starts, grow=grow, least_gain=least_gain,
+        disturbances=point_disturbances(disturbance, plants[0].loop),
     )  # fmt: skip
 
 
@@ -212,9 +212,9 @@ def _tune_several(
 ) -> SeveralTuning:
     from loopshape.design.several import tune_several
 
-    began = [controller_of(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
+    initial = [controller_of(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
     with watch.progress("tune", 2 * len(R)) as step:
-        return tune_several(plants, R, began, together, held=recorded_under, step=step, **search)
+        return tune_several(plants, R, initial, together, held=recorded_under, step=step, **search)
 
 
 def check(
@@ -263,9 +263,9 @@ def check(
         controller = C if isinstance(C, GainScheduled) else controller_of(C)
         if isinstance(R, Sequence):
             raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
-        plants, asked_one = met(P, Requirements(controller.loop) if R is None else R)
-        shaken = disturbances_of(disturbance, plants[0].loop)
-        return check_loop(plants, controller, asked_one, tuple(fits), disturbances=shaken)
+        plants, asked_one = equivalent_plants(P, Requirements(controller.loop) if R is None else R)
+        disturbed = point_disturbances(disturbance, plants[0].loop)
+        return check_loop(plants, controller, asked_one, tuple(fits), disturbances=disturbed)
     if disturbance is not None:
         raise WrongUseError("the rms of an error is predicted for one loop", f"{len(C)} controllers", "check one alone")
     asked = (R,) if isinstance(R, Requirements) else tuple(R or ())
@@ -274,7 +274,7 @@ def check(
     )
 
 
-def disturbances_of(
+def point_disturbances(
     given: Disturbance | Run | str | Path | Sequence[Disturbance] | None, loop: str
 ) -> tuple[Disturbance, ...]:
     """What disturbs a loop, at each operating point: the longest recording there that shows it.

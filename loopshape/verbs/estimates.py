@@ -116,7 +116,7 @@ def _distortion(run: Run, recordings: Sequence[Recording]) -> Iterable[Remark]:
         first.setdefault((recording.info.excites, tuple(sorted(recording.info.operating_point.items()))), recording)
     for recording in first.values():
         it = distortion(recording, run.loop(str(recording.info.excites)))
-        if it.told:
+        if it.decidable:
             yield Remark("distortion", f"{recording.info.name}: {it.verdict}")
 
 
@@ -135,16 +135,16 @@ def _renewed(earlier: Path, new: Sequence[FRF]) -> list[FRF]:
     from loopshape.io.write.frfs import read_frfs
 
     made: list[FRF] = []
-    old, met = read_frfs(earlier), 0
+    old, matched = read_frfs(earlier), 0
     for frf in new:
         same = [one for one in old if _point(one) == _point(frf)]
         if len(same) > 1:
             what = f"several FRFs in {earlier} are of one loop and operating point"
             raise WrongUseError(what, ", ".join(one.recording for one in same), "renew one by FRF.renewed in Python")
-        met += len(same)
+        matched += len(same)
         renewed = same[0].renewed(frf) if same else frf
         made.append(replace(renewed, recording=frf.recording, recordings=frf.recordings))
-    if not met:
+    if not matched:
         points = "; ".join(f"{one.loop} {dict(one.operating_point) or ''}".strip() for one in new)
         what = f"no FRF in {earlier} is of a loop and operating point measured here"
         raise WrongUseError(what, points, "measure the point once more, or leave --renew out")

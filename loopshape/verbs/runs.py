@@ -123,10 +123,10 @@ def tune(
         )
     given, together = read_required(require) if matrix else (read_requirements(require), None)
     requirements, chosen = joined(profile, given)
-    began = _to_start(start, [one.loop for one in requirements])
+    initial = _to_start(start, [one.loop for one in requirements])
     if not matrix:
         tunings = []
-        for tuning in _alone(run, requirements, began, diagram, disturbance, grow=grow, **search):
+        for tuning in _alone(run, requirements, initial, diagram, disturbance, grow=grow, **search):
             tunings.append(tuning)
             each(tuning)
         return TunedRun(tuple(tunings), _missed(tunings), chosen)
@@ -137,25 +137,25 @@ def tune(
     search.pop("least_gain", None)  # of growth
     frfs, under = read_several_loops(run), recorded_under(run)
     turns = chain.tune(
-        frfs, requirements, start=[*began.values()], together=together, recorded_under=under, watch=watch, **search
+        frfs, requirements, start=[*initial.values()], together=together, recorded_under=under, watch=watch, **search
     )
     missed = "" if turns.feasible else "the loops do not meet all requirements together"
     return TunedRun(tuple(turns.tunings.values()), missed, chosen, turns)
 
 
 def _alone(
-    run: Path, requirements: Sequence[Requirements], began: Mapping[str, Controller], diagram: Path | None,
+    run: Path, requirements: Sequence[Requirements], initial: Mapping[str, Controller], diagram: Path | None,
     disturbance: Path | None, **search: Any,
 ) -> Iterator[Tuning]:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
     frfs, fits = read_frfs(run), fits_of(run)
     if diagram is not None:
-        met = read_diagram(diagram, run).equivalent()
-        frfs, fits, requirements = met.plants, (), tuple(map(met.asked, requirements))
+        equivalent = read_diagram(diagram, run).equivalent()
+        frfs, fits, requirements = equivalent.plants, (), tuple(map(equivalent.asked, requirements))
     for required in requirements:
         mine = [one for one in frfs if one.loop == required.loop]
-        known = chain.disturbances_of(disturbance, required.loop) or None
-        start = began.get(required.loop)
+        known = chain.point_disturbances(disturbance, required.loop) or None
+        start = initial.get(required.loop)
         yield chain.tune(mine, required, fits=fits, start=start, disturbance=known, **search)
 
 

@@ -72,10 +72,10 @@ def session(command: Callable[[], object], complain: Callable[[object], None]) -
 
 def ended_by(stopped: BaseException | None) -> int | None:
     """Exit code of a command that was interrupted, told once, whatever a library made of the exception; else None."""
-    told = isinstance(stopped, KeyboardInterrupt)
-    if not (told or interrupted()):
+    by_keyboard = isinstance(stopped, KeyboardInterrupt)
+    if not (by_keyboard or interrupted()):
         return None
-    say_once((str(stopped) if told else "") or INTERRUPTED)
+    say_once((str(stopped) if by_keyboard else "") or INTERRUPTED)
     return ENDED
 
 

@@ -40,7 +40,7 @@ MOST_S = 10.0
 #: what the page is given for the file that Save writes, in place of the mark of its present content
 _MARK = token_urlsafe(24)
 #: a free parameter may be tuned to so many times its value and as little
-REACH = 10.0
+FREE_FACTOR = 10.0
 
 
 class ShapeServer:
@@ -112,7 +112,7 @@ class ShapeServer:
         verdict = check(
             one.frfs,
             controller_from(asked["controller"]),
-            one.judged(requirements_from(asked["requirements"])),
+            one.of_plant(requirements_from(asked["requirements"])),
             one.fits,
         )
         return {"certificate": certificate_words(verdict), "words": repr(verdict)}
@@ -122,7 +122,7 @@ class ShapeServer:
 
         start = controller_from(asked["controller"])
         structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
-        required = replace(one.judged(requirements_from(asked["requirements"])), structure=structure)
+        required = replace(one.of_plant(requirements_from(asked["requirements"])), structure=structure)
         found = tune(one.frfs, required, one.fits, start=start, starts=1)
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
@@ -159,7 +159,7 @@ def _template(block: Block, locked: Sequence[str]) -> BlockTemplate:
     tie = {"f2_hz": "f1_hz"} if tied else {}
     fixed = {name for name in BLOCK_KINDS[block.kind].parameters if name in locked or values[name] <= 0.0}
     made = {
-        name: value if name in fixed else Free(value / REACH, value * REACH, value)
+        name: value if name in fixed else Free(value / FREE_FACTOR, value * FREE_FACTOR, value)
         for name, value in values.items()
         if name not in tie
     }

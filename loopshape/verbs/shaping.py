@@ -45,26 +45,26 @@ def _gain_of_one(frf: FRF) -> Controller:
 
 @dataclass(frozen=True, eq=False)
 class SeveralLoops:
-    """Matrix FRFs of one plant, and what is required of each loop and of all; `held`: recorded under these."""
+    """Matrix FRFs of one plant, and what is required of each loop and of all; `recorded_under` these controllers."""
 
     frfs: tuple[FRF, ...]
     requirements: tuple[Requirements, ...] = ()
     together: SeveralRequirements | None = None
-    held: tuple[Controller, ...] = ()
+    recorded_under: tuple[Controller, ...] = ()
 
     def shaped(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
         """Each loop on the plant that it meets while the others are closed by these controllers."""
         names = [one.loop for one in controllers]
         together = self.together or SeveralRequirements()
-        matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.held)
+        matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.recorded_under)
         return [self._one(own, controllers, matrices) for own in controllers]
 
     def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, Loop]) -> ShapingSession:
         required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
-        met = plants_met(own.loop, matrices)
+        plants = plants_met(own.loop, matrices)
         rest = tuple(one for one in controllers if one is not own)
         others = ClosedLoops(rest, unstable_poles_met(own.loop, matrices, required))
-        return ShapingSession(met, own, required, (), check(met, own, others.judged(required)), others)
+        return ShapingSession(plants, own, required, (), check(plants, own, others.of_plant(required)), others)
 
 
 def page_of(loops: Sequence[ShapingSession], title: str, saved: str | None = None) -> bytes:

@@ -165,7 +165,7 @@ _CORNERS = {"upper left": (0, 1), "upper right": (1, 1), "lower left": (0, 0), "
 _BETWEEN = np.linspace(0.0, 1.0, 6)[:-1]
 
 
-class Crowd:
+class LabelRoom:
     """What an axes with linear scales already holds; the axes are taken to be `size_in` inches wide and high."""
 
     def __init__(self, ax: Axes, size_in: tuple[float, float]) -> None:
@@ -259,15 +259,15 @@ def _box_in(entries: Sequence[Entry]) -> tuple[float, float]:
     return _HANDLE_IN + _LETTER_IN * longest, 0.1 + _LINE_IN * len(entries)
 
 
-def corner_with_room(ax: Axes, crowd: Crowd, entries: Sequence[Entry], step: float = 10.0) -> str:
+def corner_with_room(ax: Axes, room: LabelRoom, entries: Sequence[Entry], step: float = 10.0) -> str:
     """The corner that holds least; where none is free the axes grow upwards by whole steps until an upper one is."""
     width, height = _box_in(entries)
-    held = {loc: crowd.in_corner(loc, width, height).size for loc in _CORNERS}
+    held = {loc: room.in_corner(loc, width, height).size for loc in _CORNERS}
     loc = min(held, key=lambda name: held[name])
     if held[loc]:
         loc = min(("upper left", "upper right"), key=lambda name: held[name])
         for _ in range(6):
-            if not crowd.in_corner(loc, width, height).size:
+            if not room.in_corner(loc, width, height).size:
                 break
             low, high = ax.get_ylim()
             ax.set_ylim(low, high + step)

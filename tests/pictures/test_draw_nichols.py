@@ -81,7 +81,7 @@ def test_the_limit_satisfies_the_definition_and_is_repeated() -> None:
     assert centres == {1}
 
 
-def test_the_cross_shows_the_margins_wished() -> None:
+def test_the_cross_shows_the_required_margins() -> None:
     ax = nichols(nouns.loops()[:2], nouns.requirements(gain_reduction_margin_db=4.0))
     crosses = [line.get_data() for line in by_gid(ax, "phase margin")]
     assert any(list(x) == [-215.0, -145.0] and list(y) == [0.0, 0.0] for x, y in crosses)

@@ -96,15 +96,15 @@ def report(found: Estimates, output: Output, folder: Path, drawn: list[str], end
     from loopshape.view.labels import methods_by_loop as by_loop
 
     columns = ["recording", "loop", "operating point", "valid from [Hz]", "to [Hz]", "lines", "median std [dB]"]
-    told = any(one.noise_covariance is not None for one in found.frfs)
-    columns += ["of it distortion [%]"] if told else []
+    distorted = any(one.noise_covariance is not None for one in found.frfs)
+    columns += ["of it distortion [%]"] if distorted else []
     keys = ["recording", "loop", "operating_point", "valid_from_hz", "valid_to_hz", "lines", "median_std_db"]
-    keys += ["distortion_percent"] if told else []
+    keys += ["distortion_percent"] if distorted else []
     rows = []
     for one in found.frfs:
         lines = _valid(one)
         spread = float(20.0 * np.log10(1.0 + np.median(lines.modulus_std[:, 0, 0])))
-        rows.append([one.recording, one.loop, *_where(one), spread, *([distortion_share(lines)] if told else [])])
+        rows.append([one.recording, one.loop, *_where(one), spread, *([distortion_share(lines)] if distorted else [])])
     if rows:
         output.table("Frequency responses", columns, rows)
     matrix_rows = matrix_table(found.matrices, output)

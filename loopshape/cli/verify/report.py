@@ -34,5 +34,5 @@ def report(
         output.say(f"missing: {one.what} {one.command}".rstrip())
     output.say(f"verdict: {'no requirement' if made.outcome == 'none' else WORDS[made.outcome]}")
     output.say(f"report: {path} ({size / 1e6:.1f} MB)")
-    told = {"outcome": made.outcome, "missing": made.missing, "figures_left_out": made.figures_left_out}
-    output.json({"report": str(path), "bytes": size, **told})
+    answer = {"outcome": made.outcome, "missing": made.missing, "figures_left_out": made.figures_left_out}
+    output.json({"report": str(path), "bytes": size, **answer})

@@ -22,7 +22,7 @@ def verify(
     output = Output(as_json, quiet)
     found = files.verify(run, study)
     words = {True: "sound", False: "NOT SOUND", None: "cannot be told"}
-    output.table(f"{run}:", ("what", "outcome", "why"), [(f.what, words[f.sound], f.said) for f in found])
+    output.table(f"{run}:", ("what", "outcome", "why"), [(f.what, words[f.sound], f.reason) for f in found])
     wrong = [finding for finding in found if finding.sound is False]
     output.say("every file is what was written" if not wrong else f"{len(wrong)} not sound")
     output.json({"sound": not wrong, "findings": found})

@@ -21,10 +21,10 @@ def window(k: int, half: int, lines: int) -> tuple[int, int]:
 def _orthonormal(x: Array, w: Array, degree: int, q: Array) -> None:
     """Polynomials q (degree + 1, n) in x (n,), orthonormal under the weights w (n,); two passes of Gram and Schmidt."""
     n = x.size
-    reach = max(abs(x[0]), abs(x[n - 1]))
+    largest = max(abs(x[0]), abs(x[n - 1]))
     for j in range(degree + 1):
         for i in range(n):
-            q[j, i] = 1.0 if j == 0 else q[j - 1, i] * x[i] / reach
+            q[j, i] = 1.0 if j == 0 else q[j - 1, i] * x[i] / largest
         for _ in range(2):
             for m in range(j):
                 along = 0.0

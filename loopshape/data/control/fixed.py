@@ -106,9 +106,9 @@ def _of_states(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> tuple[
     right[: len(a), : len(a)] = np.eye(len(a))
     with np.errstate(all="ignore"):
         found = np.asarray(linalg.eigvals(left, right), dtype=complex)
-    reach = max(1.0, float(np.abs(poles).max(initial=0.0)))
-    zeros = found[np.isfinite(found) & (np.abs(found) < FINITE * reach)]
-    s = 2.0 * max(reach, float(np.abs(zeros).max(initial=0.0)))
+    largest = max(1.0, float(np.abs(poles).max(initial=0.0)))
+    zeros = found[np.isfinite(found) & (np.abs(found) < FINITE * largest)]
+    s = 2.0 * max(largest, float(np.abs(zeros).max(initial=0.0)))
     value = (c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d)[0, 0]
     return zeros, poles, float(np.real(value * np.prod(s - poles) / np.prod(s - zeros)))
 

@@ -222,13 +222,13 @@ def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[
     bands = np.array([frf.valid_band_hz for frf in plants])
     low, high = float(np.nanmin(bands)), float(np.nanmax(bands))
     sizes = np.concatenate([np.abs(frf.siso[frf.valid]) for frf in plants])
-    usual, reach = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**GAIN_DECADES
+    usual, factor = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**GAIN_DECADES
 
     def closed(name: str, value: float | Free) -> float | Free:
         if value is not OPEN:
             return value
         if name == "gain":
-            return Free(usual / reach, usual * reach)
+            return Free(usual / factor, usual * factor)
         return Free(*DAMPINGS[name]) if name in DAMPINGS else Free(low, high)
 
     return tuple(

@@ -72,12 +72,12 @@ class Profile:
 
     def sentences(self) -> tuple[str, ...]:
         """What a verdict under this profile has to carry: standard and clause, what was not read, who confirms."""
-        said = [f"Profile {self.name}: {self.standard}, {self.edition}, {self.clause}."]
+        notes = [f"Profile {self.name}: {self.standard}, {self.edition}, {self.clause}."]
         if self.unread:
-            said.append(
+            notes.append(
                 f"Not read in the standard's own text: {', '.join(self.unread)} (taken from {self.source})."
             )  # fmt: skip
-        return (*said, *self.remarks, self.confirm)
+        return (*notes, *self.remarks, self.confirm)
 
 
 def zone_shares(verdict: Verdict, profile: Profile) -> dict[str, float]:

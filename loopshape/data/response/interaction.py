@@ -145,8 +145,8 @@ class BandVerdict(Plain):
             )
         if not self.lines:
             return "no frequency of the band is valid: excite more there, or measure longer"
-        reach = f"may reach {self.high_db:.1f} dB" if np.isfinite(self.high_db) else "has no upper bound"
-        return f"|k_I| {reach} at {self.at_hz:.3g} Hz: {self.way_out}"
+        size = f"may reach {self.high_db:.1f} dB" if np.isfinite(self.high_db) else "has no upper bound"
+        return f"|k_I| {size} at {self.at_hz:.3g} Hz: {self.way_out}"
 
     @property
     def way_out(self) -> str:

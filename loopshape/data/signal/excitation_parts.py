@@ -188,7 +188,7 @@ def _repeating(x: Array, start: int, differ: float) -> tuple[int, int]:
     noise = 1.5 * float(np.median(apart[-period:]))  # a median: single rows may be wrong
     if noise > differ * late.std():
         return 0, 0
-    begins = _last_crowd(apart > max(1e-3 * late.std(), 6.0 * noise), max(8, period // 20))
+    begins = _last_dense(apart > max(1e-3 * late.std(), 6.0 * noise), max(8, period // 20))
     if begins > n // 2 or begins + 2 * period > n or x[begins:].std() < 0.3 * late.std():  # what rests repeats too
         return 0, 0
     whole = x[begins : begins + (n - begins) // period * period].reshape(-1, period)
@@ -196,8 +196,8 @@ def _repeating(x: Array, start: int, differ: float) -> tuple[int, int]:
     return (0, 0) if scatter > differ**2 * whole.mean(axis=0).var() else (period, begins)
 
 
-def _last_crowd(marked: np.ndarray, width: int) -> int:
+def _last_dense(marked: np.ndarray, width: int) -> int:
     """The row behind the last stretch of `width` rows of which over a quarter are marked; 0 without one."""
     count = np.concatenate([[0], np.cumsum(marked)])
-    crowds = np.flatnonzero(count[width:] - count[:-width] > width // 4)
-    return int(crowds[-1] + np.flatnonzero(marked[crowds[-1] : crowds[-1] + width])[-1]) + 1 if crowds.size else 0
+    dense = np.flatnonzero(count[width:] - count[:-width] > width // 4)
+    return int(dense[-1] + np.flatnonzero(marked[dense[-1] : dense[-1] + width])[-1]) + 1 if dense.size else 0

@@ -46,7 +46,7 @@ def together(signals: Mapping[str, Excitation]) -> tuple[dict[str, Excitation], 
         return (dict(signals),)
     raise WrongUseError(
         "loops are excited at once by multisines alone or by noise alone",
-        _said(signals, lambda s: s.kind),
+        _described(signals, lambda s: s.kind),
         f"give each a multisine of the same lines, {_ONE_BY_ONE}",
     )
 
@@ -88,14 +88,14 @@ def realised(signals: Mapping[str, Excitation], number: int) -> dict[str, Excita
     if not (signals and all(isinstance(s, Multisine) for s in signals.values())):
         raise WrongUseError(
             "realisations are of multisines, whose phases are drawn anew",
-            _said(signals, lambda s: s.kind) or "no excitation",
+            _described(signals, lambda s: s.kind) or "no excitation",
             "use a multisine, or leave realisations out and write an [[experiment]] for each repetition",
         )
     made = {loop: cast("Multisine", s) for loop, s in signals.items()}
     return {loop: replace(s, seed=s.seed + number * REALISATION_STEP) for loop, s in made.items()}
 
 
-def _said(signals: Mapping[str, Any], text: Callable[[Any], str]) -> str:
+def _described(signals: Mapping[str, Any], text: Callable[[Any], str]) -> str:
     return ", ".join(f"{loop} {text(signal)}" for loop, signal in signals.items())
 
 
@@ -107,7 +107,7 @@ def _refuse_unlike(signals: Mapping[str, Multisine]) -> None:
     )
     for what, text in alike:
         if len({text(m) for m in signals.values()}) > 1:
-            raise _unlike(what, _said(signals, text))
+            raise _unlike(what, _described(signals, text))
     (first, lines), *others = ((loop, set(m.lines().tolist())) for loop, m in signals.items())
     for loop, theirs in others:
         if differing := sorted(lines ^ theirs):
@@ -127,12 +127,12 @@ def _refuse_like_noises(signals: Mapping[str, BandNoise]) -> None:
     if len({s.seed for s in signals.values()}) < len(signals):
         raise WrongUseError(
             "noises of one seed are identical, and what they do cannot be told apart",
-            _said(signals, lambda s: f"seed {s.seed}"),
+            _described(signals, lambda s: f"seed {s.seed}"),
             "give each loop another seed, or none of them one",
         )
     if len({s.duration_s for s in signals.values()}) > 1:
         raise WrongUseError(
             "noises at once have one duration",
-            _said(signals, lambda s: f"{s.duration_s:g} s"),
+            _described(signals, lambda s: f"{s.duration_s:g} s"),
             f"give them the same, {_ONE_BY_ONE}",
         )

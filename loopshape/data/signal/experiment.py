@@ -82,7 +82,7 @@ class ExperimentSettings:
 
     parameters: Mapping[str, float] = field(default_factory=dict)
 
-    def told(self) -> dict[str, Any]:
+    def settings(self) -> dict[str, Any]:
         """These fields by name, as the next noun takes them."""
         return {f.name: getattr(self, f.name) for f in fields(ExperimentSettings)}
 

@@ -51,7 +51,7 @@ class RecordingInfo(ExperimentSettings):
             operating_point=dict(e.operating_point),
             period_s=e.period_s,
             periodic_from_s=e.periodic_from_s,
-            **e.told(),
+            **e.settings(),
             excites_also=e.excites_also,
             ended_early=ended_early,
         )

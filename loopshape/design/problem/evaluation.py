@@ -84,8 +84,8 @@ class Evaluation:
         """The lines as the kernels of rows take them."""
         p, weights = self.p, weighed(self.p)
         return Flat(
-            p.f, p.ln_f, self.L, self.ln_L, self.ln_S, p.ln_P, self.ln_C, p.ln_reach, p.line, p.first, p.led, p.f_above,
-            p.above.start, weights.own, weights.by_C,
+            p.f, p.ln_f, self.L, self.ln_L, self.ln_S, p.ln_P, self.ln_C, p.ln_circle, p.line, p.first, p.below,
+            p.f_above, p.above.start, weights.own, weights.by_C,
         )  # fmt: skip
 
     @cached_property

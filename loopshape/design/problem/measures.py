@@ -116,10 +116,10 @@ class Measures:
 
     def objective(self) -> float:
         """The objective's weighted sum, each term at its worst operating point."""
-        wish = self.evaluation.p.requirements.objective
-        value = wish.bandwidth * float(self.ln_bandwidth.min()) if wish.bandwidth else 0.0
-        value += wish.disturbance * float(self.rejection.min()) if wish.disturbance else 0.0
-        return value + (wish.weighted_norm * float(self.smallness.min()) if wish.weighted_norm else 0.0)
+        aim = self.evaluation.p.requirements.objective
+        value = aim.bandwidth * float(self.ln_bandwidth.min()) if aim.bandwidth else 0.0
+        value += aim.disturbance * float(self.rejection.min()) if aim.disturbance else 0.0
+        return value + (aim.weighted_norm * float(self.smallness.min()) if aim.weighted_norm else 0.0)
 
 
 def measure(p: Problem, x: Array, tighten: Tighten) -> Measures:
@@ -164,7 +164,7 @@ def low_weights(p: Problem) -> Array:
     """Weights of the flat lines up to `disturbance_below_hz`: trapezia in ln f, summing to one at each point."""
     below = p.requirements.objective.disturbance_below_hz
     weights = np.zeros(p.f.size)
-    for a, b in zip(p.first[:-1] + p.led, p.first[1:], strict=True):
+    for a, b in zip(p.first[:-1] + p.below, p.first[1:], strict=True):
         low = p.ln_f[a:b][p.f[a:b] <= (below or 0.0)]
         span = np.diff(low)
         share = 0.5 * (np.append(span, 0.0) + np.append(0.0, span)) if low.size > 1 else np.ones(low.size)
@@ -233,13 +233,13 @@ def _sensitivity_bandwidth(e: Evaluation) -> Rows:
 def _complementary_bandwidth(e: Evaluation, tighten: Tighten) -> Rows:
     """Rows of ln f where |T| last falls through -3 dB; where it stays below, short of the wish by what it lacks."""
     over, p = e.ln_L + e.ln_S - HALF_POWER, e.p
-    wish = np.log(required(p, "complementary_bandwidth_hz", tighten))
+    aim = np.log(required(p, "complementary_bandwidth_hz", tighten))
     found = []
     for i, (a, b) in enumerate(zip(p.first[:-1], p.first[1:], strict=True)):
         above = np.flatnonzero(over[a:b] >= 0.0)
         if not above.size:
             k = int(a + np.argmax(over[a:b]))
-            found.append((k, 0.0, min(p.ln_f[k], wish[i]) + over[k], 1.0))
+            found.append((k, 0.0, min(p.ln_f[k], aim[i]) + over[k], 1.0))
         elif a + above[-1] == b - 1:
             found.append((b - 1, 0.0, p.ln_f[b - 1], 0.0))
         else:
@@ -303,7 +303,7 @@ def _on_lines(p: Problem) -> _OnLines:
     power, above = np.zeros(p.f.size), np.zeros(p.points)
     for k, one in enumerate(p.opened):
         if one is not None:
-            a, b = p.first[k] + p.led[k], p.first[k + 1]
+            a, b = p.first[k] + p.below[k], p.first[k + 1]
             power[a:b], above[k] = _shared(p.f[a:b], one, int(p.integrators[k]))
     return _OnLines(power, above)
 

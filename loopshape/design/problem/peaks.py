@@ -58,7 +58,7 @@ _ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
 def _asked(p: Problem) -> _Asked:
     """The limits on magnitudes of a problem, made once."""
     if p not in _ASKED:
-        names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.reach.any()))
+        names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.radius.any()))
         masks = [x for x in names if x in p.masks]
         _ASKED[p] = _Asked(
             names=names,

@@ -35,11 +35,11 @@ class Problem:
     """Plants on flat lines, the structure, and the requirements of one loop.
 
     `first` (points + 1,) are the places where operating points begin in the flat arrays; `line` maps each
-    flat line to its unique frequency, at which the controller is evaluated once. `led` (points,) counts the lines
+    flat line to its unique frequency, at which the controller is evaluated once. `below` (points,) counts the lines
     before the measured ones on which a model leads towards the negative real axis at 0 Hz. The arrays with `below` do
     the same for the models' lines below the measured ones, which only the count of encirclements sees: the fit's where
     `fitted` (points,), else those of a small model of the lowest lines. Those with `beyond` are for less sure lines
-    above, where |L| may not come up to 1 again. `reach` is the radius of the 95 % circle of P at each flat line: -1
+    above, where |L| may not come up to 1 again. `radius` is the radius of the 95 % circle of P at each flat line: -1
     must lie outside that of L. `places` (points,) are the operating points' coordinates, `opened` (points,) what
     disturbs each with the loop open, None where that is not known.
     """
@@ -52,9 +52,9 @@ class Problem:
     names: tuple[str, ...]
     f: Array
     P: ComplexArray
-    reach: Array
+    radius: Array
     first: np.ndarray
-    led: np.ndarray
+    below: np.ndarray
     unique_f: Array
     unique_s: ComplexArray
     line: np.ndarray
@@ -131,10 +131,10 @@ class Problem:
         return np.log(np.abs(self.P))
 
     @cached_property
-    def ln_reach(self) -> Array:
+    def ln_circle(self) -> Array:
         """ln of the radius of P's 95 % circle on the flat lines, -inf where it is known."""
         with np.errstate(divide="ignore"):
-            return np.log(self.reach)
+            return np.log(self.radius)
 
     @cached_property
     def ln_f(self) -> Array:
@@ -237,9 +237,9 @@ class Problem:
         cut = zip(self.first[:-1], self.first[1:], strict=True)
         phase = np.concatenate([np.unwrap(np.angle(self.P[a:b])) for a, b in cut])
         with np.errstate(divide="ignore", invalid="ignore"):
-            off = np.maximum(STRAIGHT, self.reach / np.abs(self.P))
-        led = [np.arange(a, a + n + 1) for a, n in zip(self.first, self.led, strict=False)]
-        keep = np.union1d(kernel.thinned(self.ln_f, self.ln_P, phase, off, self.first, GAP), np.concatenate(led))
+            off = np.maximum(STRAIGHT, self.radius / np.abs(self.P))
+        below = [np.arange(a, a + n + 1) for a, n in zip(self.first, self.below, strict=False)]
+        keep = np.union1d(kernel.thinned(self.ln_f, self.ln_P, phase, off, self.first, GAP), np.concatenate(below))
         if keep.size > WORTH * self.f.size:
             return self
         columns, line = np.unique(self.line[keep], return_inverse=True)
@@ -247,7 +247,7 @@ class Problem:
             self,
             f=self.f[keep],
             P=self.P[keep],
-            reach=self.reach[keep],
+            radius=self.radius[keep],
             first=np.searchsorted(keep, self.first),
             unique_f=self.unique_f[columns],
             unique_s=self.unique_s[columns],
@@ -260,7 +260,7 @@ OUTSIDE = 0.05
 #: a limit in dB that nothing comes up to
 NONE_DB = 300.0
 #: where L is led below its first line, as shares of its frequency
-DOWN = np.geomspace(1e-3, 1.0, 16, endpoint=False)
+BELOW_RATIOS = np.geomspace(1e-3, 1.0, 16, endpoint=False)
 #: places between lines are looked at where P moves by more than this share of itself, so many a gap at most
 STEEP, BETWEEN = 0.5, 6
 #: lines of a race: ln P may lie off a straight line between them by this, they lie no farther apart than this in ln f,
@@ -281,7 +281,7 @@ def problem(
     coefficients in double precision; controllers are made in `precision`. `opened` is what disturbs each loop, with
     the loop open.
     """
-    structure.refuse(loops, requirements, shaken=any(one is not None for one in opened))
+    structure.refuse(loops, requirements, disturbed=any(one is not None for one in opened))
     lines = [_lines(loop) for loop in loops]
     below = [_below(loop) for loop in loops]
     f = np.concatenate([one.f for one in lines])
@@ -299,9 +299,9 @@ def problem(
         names=tuple(loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops)),
         f=f,
         P=np.concatenate([one.P for one in lines]),
-        reach=np.concatenate([one.reach for one in lines]),
+        radius=np.concatenate([one.radius for one in lines]),
         first=np.concatenate([[0], np.cumsum([one.f.size for one in lines])]),
-        led=np.array([one.led for one in lines]),
+        below=np.array([one.below for one in lines]),
         unique_f=unique,
         unique_s=unit.s_at(unique),
         line=line,
@@ -345,12 +345,12 @@ def _below(loop: Loop) -> tuple[Array, ComplexArray]:
 
 
 class _Lines(NamedTuple):
-    """Frequencies, P and the radius of its 95 % circle (n,), of which the first `led` are a model's."""
+    """Frequencies, P and the radius of its 95 % circle (n,), of which the first `below` are a model's."""
 
     f: Array
     P: ComplexArray
-    reach: Array
-    led: int
+    radius: Array
+    below: int
 
 
 def _lines(loop: Loop) -> _Lines:
@@ -361,18 +361,18 @@ def _lines(loop: Loop) -> _Lines:
     """
     dense, P = between_lines(loop), between_lines(loop).response
     dense = dense.between(np.abs(np.diff(P)), np.minimum(np.abs(P[1:]), np.abs(P[:-1])), STEEP, BETWEEN)
-    f, P, reach = dense.frequency_hz, dense.response, np.interp(dense.frequency_hz, loop.frequency_hz, _reach(loop))
+    f, P, radius = dense.frequency_hz, dense.response, np.interp(dense.frequency_hz, loop.frequency_hz, _radius(loop))
     models = () if loop.integrators else low_models(loop)[:1]
-    down = f[0] * DOWN
+    down = f[0] * BELOW_RATIOS
     for model in models:
-        led = model.response(down)
-        if led[0].real < 0.0:
-            ahead = reach[0] / abs(P[0]) * np.abs(led)
-            return _Lines(np.append(down, f), np.append(led, P), np.append(ahead, reach), down.size)
-    return _Lines(f, P, reach, 0)
+        below = model.response(down)
+        if below[0].real < 0.0:
+            ahead = radius[0] / abs(P[0]) * np.abs(below)
+            return _Lines(np.append(down, f), np.append(below, P), np.append(ahead, radius), down.size)
+    return _Lines(f, P, radius, 0)
 
 
-def _reach(loop: Loop) -> Array:
+def _radius(loop: Loop) -> Array:
     """Radius (nf,) of the 95 % circle of P; wider where its variance was itself estimated with few degrees of freedom.
 
     |d|² over an estimated variance follows an F distribution with 2 and that many degrees.

@@ -51,7 +51,7 @@ def shifted_loops(loops: Sequence[Loop], copies: Sequence[Copy]) -> dict[str, Lo
     return out
 
 
-def judged(
+def shifted_verdict(
     loops: dict[str, Loop],
     controller: Controller,
     asked: Requirements,
@@ -64,8 +64,8 @@ def judged(
     """
     names = list(loops) if points is None else [list(loops)[k] for k in points]
     mine = {name: replace(loops[name], controllers=(controller,)) for name in names}
-    shaken = {name: one for name, one in (disturbances or {}).items() if name in mine}
-    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False, disturbances=shaken)
+    disturbed = {name: one for name, one in (disturbances or {}).items() if name in mine}
+    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False, disturbances=disturbed)
 
 
 def closer(
@@ -90,13 +90,13 @@ def closer(
         own = requirements.of(loop.plant.operating_point)
         percent, missed = worst_shift(replace(loop, controllers=(controller,)), margins, own, required)
         near = [one for one in copies if one.index == k and abs(one.percent - percent) < BESIDE * required]
-        reach = max((abs(one.percent) for one in near), default=0.0)
+        nearest = max((abs(one.percent) for one in near), default=0.0)
         if not near:
             out.append(Copy(k, percent))
             continue
-        if required <= reach < FARTHEST * required:
+        if required <= nearest < FARTHEST * required:
             out = [one for one in out if one not in near]
-            out.append(Copy(k, float(np.copysign(min(1.1 * reach, FARTHEST * required), percent))))
+            out.append(Copy(k, float(np.copysign(min(1.1 * nearest, FARTHEST * required), percent))))
             continue
         for name, limit in missed.items():
             more = limit - getattr(own, name)

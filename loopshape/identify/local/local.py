@@ -156,8 +156,8 @@ def _groups(lines: Lines) -> np.ndarray:
 def _prediction_errors(lines: Lines, groups: np.ndarray, windows: Sequence[Window]) -> Array:
     """Logarithm of the power (windows, groups) by which lines left out are missed: y - P u for each output, per Hz, by
     windows of one order and degree, narrowest first."""
-    reach = TOGETHER // 2
-    every = (groups[:, None] + np.arange(-reach, reach + 1)).ravel()
+    half = TOGETHER // 2
+    every = (groups[:, None] + np.arange(-half, half + 1)).ravel()
     response, left_out = predicted(lines.X, lines.R, every, lines.low, lines.high, windows)
     missed = [np.abs(_of_plant(H, e, lines.outputs)) ** 2 for H, e in zip(response, left_out, strict=True)]
     power = np.stack(missed).reshape(len(windows), groups.size, TOGETHER, lines.outputs).mean(axis=2)
@@ -302,8 +302,8 @@ def _rounded_off(apart: ComplexArray, half: int) -> ComplexArray:
 
 def _overlap(lines: Lines, at: int, window: Window) -> float:
     """How many neighbouring lines of the record carry one line's worth of independent error, at one line."""
-    reach = min(2 * window.half, max(at - lines.low - window.half, lines.high - window.half - at, 0))
-    near = np.clip(np.arange(at - reach, at + reach + 1), lines.low, lines.high)
+    half = min(2 * window.half, max(at - lines.low - window.half, lines.high - window.half - at, 0))
+    near = np.clip(np.arange(at - half, at + half + 1), lines.low, lines.high)
     fits = [fit_lines(lines.X, lines.R, part, lines.low, lines.high, window) for part in _chunks(near, window)]
     weights = np.concatenate([f.weights[:, 0, 0] for f in fits])
     first = np.concatenate([f.first for f in fits])

@@ -25,7 +25,7 @@ from loopshape.identify.spectra.transforms import FLOOR
 #: samples of a part at most, of which this share on each side is there for the windows of lines near its edges
 PART, BESIDE = 1 << 21, 0.125
 #: so far in frequency, as a factor, windows reach beyond their lines
-REACH = 1.25
+WINDOW_FACTOR = 1.25
 #: cycles of its lowest frequency that a part takes at least, where the record has them before the sweep is this
 #: factor above the part's highest frequency: else its lines would be far apart
 CYCLES, PASSED = 100.0, 3.0
@@ -70,8 +70,8 @@ def by_sweep_in_parts(
         f = answers.frequency_hz
         own = answers.select((f >= part.low_hz) & (f < part.high_hz))
         found.append(replace(own, power=own.power * ((part.stop - part.start) / instrument.size)))
-        numbers.update(nonlinear.found)
-    return _joined(found, instrument.size / recording.rate_hz, replace(nonlinear, found=tuple(sorted(numbers))))
+        numbers.update(nonlinear.harmonics)
+    return _joined(found, instrument.size / recording.rate_hz, replace(nonlinear, harmonics=tuple(sorted(numbers))))
 
 
 def parts_of(instrument: Signal, rate_hz: float) -> list[Part]:
@@ -133,10 +133,10 @@ def _next(low_hz: float, hz: Array, when: Array, n: int, rate_hz: float) -> Part
     first = max(low_hz, hz[0])
     high = min(2.0 * first, hz[-1])
     while True:
-        factor = max(1, int(rate_hz / (ABOVE * REACH * high)))
+        factor = max(1, int(rate_hz / (ABOVE * WINDOW_FACTOR * high)))
         beside = BESIDE * PART * factor
         inner = sorted((time(first), time(high)))
-        outer = sorted((time(first / REACH), time(high * REACH)))
+        outer = sorted((time(first / WINDOW_FACTOR), time(high * WINDOW_FACTOR)))
         enough = inner[1] - inner[0] <= (1.0 - 2.0 * BESIDE) * PART * factor
         if enough or high < 1.001 * first:
             break
@@ -144,7 +144,7 @@ def _next(low_hz: float, hz: Array, when: Array, n: int, rate_hz: float) -> Part
     start, stop = max(outer[0], inner[0] - beside), min(outer[1], inner[1] + beside)
     more = 0.5 * max(0.0, CYCLES * rate_hz / first - (stop - start))
     farthest = time(PASSED * high)
-    last = high * REACH**0.2 >= hz[-1]
+    last = high * WINDOW_FACTOR**0.2 >= hz[-1]
     high = np.inf if last else high
     before, after = (0.0, float(n)) if last else (0.0, farthest) if when[-1] > when[0] else (farthest, float(n))
     start, stop = max(min(before, start), start - more), min(max(after, stop), stop + more)

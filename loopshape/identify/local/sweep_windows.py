@@ -36,7 +36,7 @@ PAYS = 0.5
 #: variance that a transient may add before its lines count as inseparable from it
 SEPARATE = 2.0
 #: and up to which a denominator is fitted beside it
-PLAIN = 1.02
+SEPARATE_RATIO = 1.02
 #: from how much power just before the sweep passes, over the record's, noise is clearly louder there
 LOUD = 2.0
 #: times at which noise is heard, in cycles over the window from when the sweep passes
@@ -175,7 +175,7 @@ def _reference(
     clear = (_trace(passing) > 0.0) & (separate < SEPARATE)
     passing[~clear] = 0.0
     loud = np.where(clear[:, None], _sought(fits.response, passing, outputs)[1], 0.0)
-    return _expected(fits, lines, half, separate), passing, loud, separate < PLAIN
+    return _expected(fits, lines, half, separate), passing, loud, separate < SEPARATE_RATIO
 
 
 def _heard(

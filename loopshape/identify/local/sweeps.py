@@ -236,11 +236,11 @@ class Harmonics:
     low: int
     added: ComplexArray
     share: Array
-    found: tuple[int, ...]
+    harmonics: tuple[int, ...]
 
     def __str__(self) -> str:
-        numbers = ", ".join(str(m) for m in self.found)
-        return f", without the sweep's harmonic{'s' * (len(self.found) > 1)} {numbers}" * bool(self.found)
+        numbers = ", ".join(str(m) for m in self.harmonics)
+        return f", without the sweep's harmonic{'s' * (len(self.harmonics) > 1)} {numbers}" * bool(self.harmonics)
 
 
 def _harmonics(z: ComplexArray, instrument: Array, low: int, high: int, lowest: float) -> Harmonics:

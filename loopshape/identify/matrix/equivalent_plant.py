@@ -105,9 +105,9 @@ def _compared(frf: FRF, own: FRF, closed: FRF, slope: ComplexArray, i: int, othe
         deviation = np.sqrt(_spread(s := (slope - ratio[:, None] * by_own) / own.siso[:, None], frf.covariance, s))
         relative = deviation / np.abs(ratio)
     low, high = magnitude_bounds(np.abs(ratio), deviation, frf.variance_freedom)
-    reach = np.minimum(high / np.abs(ratio) - 1.0, 1.0)
-    reach_deg = np.where((low > 0.0) & (reach < 1.0), deg(np.arcsin(reach)), 180.0)
-    return EquivalentPlant(own.loop, others, own, closed, ratio, relative, low, high, reach_deg)
+    half_width = np.minimum(high / np.abs(ratio) - 1.0, 1.0)
+    half_width_deg = np.where((low > 0.0) & (half_width < 1.0), deg(np.arcsin(half_width)), 180.0)
+    return EquivalentPlant(own.loop, others, own, closed, ratio, relative, low, high, half_width_deg)
 
 
 #: probability beyond each end of a two-sided 95 % interval
@@ -161,8 +161,8 @@ def magnitude_bounds(size: Array, deviation: Array, freedom: float = np.inf, tai
         widen = far + (near - far) * np.minimum(1.0, threshold / np.maximum(ratio, 1e-300)) ** 2
         inside = np.where(np.isfinite(ratio), ratio, 0.0) / widen
         low = np.where(np.isfinite(ratio), widen * _lower_end(inside, tail) * deviation, size)
-    reach = far * np.sqrt(0.5 * chi2.isf(2.0 * tail, 1))
-    return Reach(np.minimum(low, size), size + reach * deviation)
+    half_width = far * np.sqrt(0.5 * chi2.isf(2.0 * tail, 1))
+    return Reach(np.minimum(low, size), size + half_width * deviation)
 
 
 def product_bounds(

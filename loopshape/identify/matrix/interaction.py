@@ -76,17 +76,17 @@ def square_part(
     left out are open; those that it does not have are as they were when it was measured. Refuses fewer than two
     loops, names that are not there, and rows that cannot be told.
     """
-    told = tuple(frf.loop.split("+")) if len(frf.loop.split("+")) == len(frf.inputs) else frf.inputs
-    names = tuple(loops) if loops else told
+    known = tuple(frf.loop.split("+")) if len(frf.loop.split("+")) == len(frf.inputs) else frf.inputs
+    names = tuple(loops) if loops else known
     if len(names) < 2 or len(set(names)) < len(names):
         raise WrongUseError(
             "interaction is between two loops at least, each once", ", ".join(names),
             "measure several and estimate their matrix: loopshape frf RUN --matrix",
         )  # fmt: skip
-    unknown = [name for name in names if name not in told]
+    unknown = [name for name in names if name not in known]
     if unknown:
-        raise WrongUseError("a loop is not in the FRF", ", ".join(unknown), f"it has {', '.join(told)}")
-    columns = [told.index(name) for name in names]
+        raise WrongUseError("a loop is not in the FRF", ", ".join(unknown), f"it has {', '.join(known)}")
+    columns = [known.index(name) for name in names]
     rows = _rows(frf, names, columns) if outputs is None else tuple(outputs)
     if len(rows) != len(names):
         raise WrongUseError("each loop has one output", f"{len(rows)} outputs for {len(names)} loops", "name as many")
@@ -220,11 +220,11 @@ def _expected(pair: _LoopPair, lines: np.ndarray, tail: float, more: float) -> R
 
     The largest of n estimates is too high by what the largest of n errors is in the median; averages take that away.
     """
-    reach = pair.bounds(lines, tail, more)
+    bounds = pair.bounds(lines, tail, more)
     luck = norm.ppf(0.5 ** (1.0 / max(lines.size / pair.line_overlap, 1.0)))
     spread = np.minimum(pair.relative_std[lines] / np.sqrt(2.0), 1.0)
     factor = np.exp(-luck * spread * (1.0 - 1.0 / np.sqrt(more)))
-    return Reach(reach.low * factor, reach.high * factor)
+    return Reach(bounds.low * factor, bounds.high * factor)
 
 
 def _more_averages(pair: _LoopPair, lines: np.ndarray, limit: float) -> float:

@@ -103,7 +103,7 @@ class Distortion:
     verdict: str
 
     @property
-    def told(self) -> bool:
+    def decidable(self) -> bool:
         """Whether the recording can tell odd or even distortion at all."""
         return self.odd is not None or self.even is not None
 
@@ -129,16 +129,16 @@ def distortion(recording: Recording, loop: LoopSetup) -> Distortion:
     kinds = {word: _lines(t, own, rows) for word, rows in _kinds(bins).items()}
     excited = _lines(t, t.signals[0], bins)
     quiet = np.setdiff1d(np.arange(bins[0], bins[-1] + 1), bins)
-    told = [kinds.get(word) for word in ("odd", "even")]
-    bands = _bands(excited, *told) if any(told) else ()
+    decidable = [kinds.get(word) for word in ("odd", "even")]
+    bands = _bands(excited, *decidable) if any(decidable) else ()
     return Distortion(
         recording=name,
         loop=loop.name,
         unit=unit,
         periods=int(t.signals.shape[1]),
         excited=excited,
-        odd=told[0],
-        even=told[1],
+        odd=decidable[0],
+        even=decidable[1],
         mixed=kinds.get("mixed"),
         through_input=_lines(t, through, quiet) if quiet.size else None,
         bands=bands,

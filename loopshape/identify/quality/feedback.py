@@ -139,14 +139,14 @@ def unconfirmed_lines(
     rows = a.excited & np.isfinite(other) & np.isfinite(spread)
     if not rows.any() or min(f.size, frequency_hz.size) < 2:
         return np.ones(frequency_hz.size, dtype=bool)
-    told = np.zeros(f.size, dtype=bool)
+    usable = np.zeros(f.size, dtype=bool)
     unsure = median_filter(np.sqrt(spread[rows]) / np.abs(other[rows]), ALONGSIDE, mode="nearest")
-    told[rows] = plant.sound(rows) & (unsure <= TELLS)
+    usable[rows] = plant.sound(rows) & (unsure <= TELLS)
     near = _nearest(f, frequency_hz)
     beside = np.abs(f[near] - frequency_hz) <= np.maximum(np.gradient(f)[near], np.gradient(frequency_hz))
     other = np.interp(frequency_hz, f[rows], other[rows])
     relative = np.sqrt(variance + np.interp(frequency_hz, f[rows], spread[rows])) / np.abs(other)
-    known = told[near] & beside
+    known = usable[near] & beside
     apart = np.where(known, G / other - 1.0, 0.0)
     weight = np.maximum(uniform_filter1d(known.astype(float), ALONGSIDE, mode="nearest"), 1e-9)
     mean = np.abs([uniform_filter1d(x, ALONGSIDE, mode="nearest") for x in (apart.real, apart.imag)])

@@ -50,17 +50,17 @@ CYCLES, LEAST_ROWS, SWEPT = 8, 80, 1e-5
 class FeedbackCheck:
     """What future inputs explain of an output beyond its past: `probability` is that of as much without feedback.
 
-    `found` where that is below `false_alarms`. `explained` is the share of the residual's power, `lags` (samples) the
-    stretch of the future input that explains most. `told` is False where the record cannot tell: an input that its
+    `detected` where that is below `false_alarms`. `explained` is a share of the residual's power, `lags` (samples) the
+    stretch of the future input that explains most. `decidable` is False where the record cannot tell: an input that its
     past predicts completely shows nothing.
     """
 
-    found: bool
+    detected: bool
     probability: float
     explained: float
     lags: tuple[int, int]
     false_alarms: float
-    told: bool
+    decidable: bool
     samples: int
     sentence: str
 
@@ -237,11 +237,11 @@ class _Rows:
 
     def edges(self, side: int) -> list[tuple[int, int]]:
         """Stretches (from, to included) of lags counted from 0: one by one, then ever longer."""
-        reach, near = (self.past, self.near) if side < 0 else (self.future, 2)
+        end, near = (self.past, self.near) if side < 0 else (self.future, 2)
         out = [(k, k) for k in range(near)]
-        while out[-1][1] + 1 < reach:
+        while out[-1][1] + 1 < end:
             start = out[-1][1] + 1
-            out.append((start, min(start + max(1, start // 2), reach - 1)))
+            out.append((start, min(start + max(1, start // 2), end - 1)))
         return out
 
     def stretch(self, k: int, answers_after: int) -> tuple[int, int]:
@@ -290,15 +290,15 @@ def _orthonormal(columns: Array) -> Array:
 
 def nothing_new(false_alarms: float, samples: int, name: str, periodic: bool, predictable: bool) -> FeedbackCheck:
     """The answer where an input holds nothing that noise could have put there, or an output no noise."""
-    who, told = name or "the input", periodic and predictable
+    who, decidable = name or "the input", periodic and predictable
     words = (
         f"{who} is predictable from its own past: the record does not show whether it responds to noise of its output"
     )
-    if told:
+    if decidable:
         words = f"{who} repeats exactly from period to period: it does not answer noise of its output"
     elif not predictable:
         words = f"the output follows {who} without noise: the record does not show which of them responds to the other"
-    return FeedbackCheck(False, 1.0, 0.0, (0, 0), false_alarms, told, samples, words)
+    return FeedbackCheck(False, 1.0, 0.0, (0, 0), false_alarms, decidable, samples, words)
 
 
 def _sentence(found: bool, probability: float, lags: tuple[int, int], name: str, predictable: bool) -> str:

@@ -33,7 +33,7 @@ LEAST_ROWS = 200
 #: unstable pole whose frequency the record resolves makes it grow by exp(4) and more
 GROWN = 10.0
 #: share of its range by which an input leaves its first value when it begins to move
-BEGUN = 0.1
+STARTED = 0.1
 
 
 def stayed_bounded(recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str]) -> bool:
@@ -56,7 +56,7 @@ def _begins(u: Signal) -> int:
     """The row at which an input (n,) begins to move, in the first half."""
     whole, first, start = extent(u), float(u[:1][0]), 0
     for (part,) in stretches(u):
-        moved = np.flatnonzero(np.abs(part - first) > BEGUN * (whole.most - whole.least))
+        moved = np.flatnonzero(np.abs(part - first) > STARTED * (whole.most - whole.least))
         if moved.size:
             return min(start + int(moved[0]), u.size // 2)
         start += part.size
@@ -113,7 +113,7 @@ def signal_feedback(
         return nothing_new(false_alarms, u.size, name, periodic=False, predictable=True)
     if not later:
         found = feedback_check(u, y, period=period or None, false_alarms=false_alarms, name=name)
-        if found.told:
+        if found.decidable:
             return found
     return feedback_check(u, y, answers_after=1, period=period or None, false_alarms=false_alarms, name=name)
 
@@ -127,7 +127,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     if recording.info.closed_loop or u.size < LEAST_ROWS:
         return ()
     found = loop_feedback(recording, loop, false_alarms=1e-4)
-    if not found.found:
+    if not found.detected:
         return ()
     if found.explained > BEFORE_ITS_CAUSE:
         return (
@@ -135,7 +135,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
         )
     if recording.info.period_s is None:
         y = recording.signal(loop.output)[:MOST_ROWS]
-        if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).found:
+        if not feedback_check(u, y, answers_after=-8, false_alarms=1e-4).detected:
             return (f"{found.sentence}; only neighbouring samples show it, as behind an anti-aliasing filter",)
     return (found.sentence,)
 

@@ -132,18 +132,18 @@ def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int, overlap: 
     starts = np.unique(np.append(np.arange(0, f.size - 2 * half, max(half // APART, 1)), f.size - 2 * half - 1))
     rows = starts[:, None] + np.arange(2 * half + 1)
     centre = 0.5 * (f[rows[:, 0]] + f[rows[:, -1]])
-    reach = 0.5 * (f[rows[:, -1]] - f[rows[:, 0]])
-    x, y = (f[rows] - centre[:, None]) / reach[:, None], P[rows]
+    half_width = 0.5 * (f[rows[:, -1]] - f[rows[:, 0]])
+    x, y = (f[rows] - centre[:, None]) / half_width[:, None], P[rows]
     std = np.sqrt(variance[rows] + (FLOOR * np.abs(y)) ** 2 + 1e-300)
     z = _poles(x, y, std)
-    f0, width = centre + reach * z.real, reach * np.maximum(np.abs(z.imag), SHARPEST * centre / reach)
+    f0, width = centre + half_width * z.real, half_width * np.maximum(np.abs(z.imag), SHARPEST * centre / half_width)
     k = np.flatnonzero((np.abs(z.real) < MIDDLE) & (np.abs(z.imag) < WIDE) & (width < DAMPED * f0))
     if not k.size:
         return []
-    f0, width, reach, rows = f0[k], width[k], reach[k], rows[k]
-    pole = z[k].real + 1j * np.where(z[k].imag < 0.0, -1.0, 1.0) * width / reach
+    f0, width, half_width, rows = f0[k], width[k], half_width[k], rows[k]
+    pole = z[k].real + 1j * np.where(z[k].imag < 0.0, -1.0, 1.0) * width / half_width
     residue, rest, error, sure, noisy = _with_residue(x[k], y[k], std[k], pole, overlap)
-    residue, error, gap = residue * reach, error * reach, 2.0 * reach / (2 * half)
+    residue, error, gap = residue * half_width, error * half_width, 2.0 * half_width / (2 * half)
     known = error < KNOWN * width
     placed = (error < PLACED * gap) & (width < gap)
     good = (known | placed) & (sure > SURE) & (np.abs(residue) > VISIBLE * np.abs(rest) * np.maximum(width, error))
@@ -156,7 +156,7 @@ def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int, overlap: 
             last=int(rows[i, -1]),
             residue=complex(residue[i]),
             pole_std_hz=float(max(error[i], 1e-9 * f0[i])),
-            frequency_std_hz=float(noisy[0, i] * reach[i]),
+            frequency_std_hz=float(noisy[0, i] * half_width[i]),
             peak_std=float(noisy[1, i]),
         )
         for i in np.flatnonzero(good)

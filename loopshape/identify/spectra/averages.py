@@ -95,12 +95,12 @@ def pooled_variance(frf: FRF) -> Array:
     v, freedom = np.array(frf.variance[:, 0, 0]), frf.variance_freedom
     if freedom >= FREEDOM or not v.any():
         return v
-    reach = min(int(np.ceil(FREEDOM / freedom)) * frf.variance_pooled, 41, v.size)
+    window = min(int(np.ceil(FREEDOM / freedom)) * frf.variance_pooled, 41, v.size)
     ln_v = np.log(np.maximum(v, 1e-12 * np.median(v) + 1e-300))
     means, misses = [], []
     for base in (np.zeros(v.size), np.log(np.abs(frf.siso) ** 2 + 1e-300)):
-        mean = uniform_filter1d(ln_v - base, reach, mode="nearest")
+        mean = uniform_filter1d(ln_v - base, window, mode="nearest")
         means.append(mean + base)
-        misses.append(uniform_filter1d((ln_v - base - mean) ** 2, reach, mode="nearest"))
+        misses.append(uniform_filter1d((ln_v - base - mean) ** 2, window, mode="nearest"))
     half = 0.5 * freedom
     return np.asarray(np.exp(np.where(misses[0] <= misses[1], *means) - digamma(half) + np.log(half)))

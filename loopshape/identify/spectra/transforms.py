@@ -125,20 +125,20 @@ def _other_period(stated: int, found: int, rate_hz: float) -> str:
     )
 
 
-def measured_period(instrument: Array, stated: int, reach: int = 5) -> int:
-    """Samples after which an excitation (n,) repeats, looked for within `reach` samples of the stated number.
+def measured_period(instrument: Array, stated: int, within: int = 5) -> int:
+    """Samples after which an excitation (n,) repeats, looked for within `within` samples of the stated number.
 
     Another length counts where it leaves less than half of what the stated one leaves unrepeated, and that was more
     than noise: an excitation that repeats nowhere keeps the stated length, and is refused for it.
     """
-    if instrument.size < 2 * stated + reach or stated <= 2 * reach:
+    if instrument.size < 2 * stated + within or stated <= 2 * within:
         return stated
-    lengths = range(stated - reach, stated + reach + 1)
-    kept = min(instrument.size - stated - reach, 8 * stated)
+    lengths = range(stated - within, stated + within + 1)
+    kept = min(instrument.size - stated - within, 8 * stated)
     first = instrument[:kept]
     left = [float(np.mean((instrument[k : k + kept] - first) ** 2)) for k in lengths]
     best = int(np.argmin(left))
-    return lengths[best] if left[best] < 0.5 * left[reach] else stated
+    return lengths[best] if left[best] < 0.5 * left[within] else stated
 
 
 def _check_period(recording: Recording, N: ComplexArray) -> None:

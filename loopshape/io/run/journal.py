@@ -31,8 +31,8 @@ def note_all(folder: Path, event: str, several: Sequence[Mapping[str, object]]) 
     """As `note`, of several events of a kind, which wait for the disk once."""
     if not several:
         return
-    said = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event}
-    text = "".join(json.dumps(said | json_ready(words), ensure_ascii=False) + "\n" for words in several)
+    stamp = {"at": datetime.now(UTC).isoformat(timespec="milliseconds"), "event": event}
+    text = "".join(json.dumps(stamp | json_ready(words), ensure_ascii=False) + "\n" for words in several)
     path = folder / FILE
     own(path)
     with writing(path):

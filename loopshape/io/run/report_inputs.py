@@ -48,8 +48,8 @@ def gather(
     controllers = read_controllers(controller) if controller is not None else ()
     requirements = read_requirements(require) if require is not None else ()
     drawn = read_diagram(diagram, folder) if diagram is not None else None
-    met = None if drawn is None else drawn.equivalent()
-    checked = _checked(frfs, controllers, requirements, fits, met)
+    tuned = None if drawn is None else drawn.equivalent()
+    checked = _checked(frfs, controllers, requirements, fits, tuned)
     done = {one.verdict.loop for one in checked}
     sheets = _sheets(run) if run is not None else ()
     pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
@@ -70,13 +70,13 @@ def gather(
         checked=checked,
         unchecked=tuple(required.loop for required in requirements if required.loop not in done),
         controllers=controllers,
-        missing=_missing(run, frfs if met is None else met.plants, matrices, fits, controllers, requirements),
+        missing=_missing(run, frfs if tuned is None else tuned.plants, matrices, fits, controllers, requirements),
         figures=figures,
         figures_left_out=left,
         files=input_files(folder, further),
         texts=tuple(given_text(what, path) for what, path in given if path is not None),
         diagram=drawn,
-        inner={} if met is None else met.inner,
+        inner={} if tuned is None else tuned.inner,
     )
 
 
@@ -98,21 +98,21 @@ def _checked(
     controllers: Sequence[Controller],
     requirements: Sequence[Requirements],
     fits: Sequence[Fit],
-    met: Equivalent | None = None,
+    tuned: Equivalent | None = None,
 ) -> tuple[CheckedLoop, ...]:
     """Each controller whose loop was measured, compared with its requirements (against none where none are given).
 
-    With a diagram (`met`) that is the tuned block's.
+    With a diagram (`tuned`) that is the tuned block's.
     """
     found = []
-    frfs, fits = (frfs, fits) if met is None else (met.plants, ())
+    frfs, fits = (frfs, fits) if tuned is None else (tuned.plants, ())
     for own in controllers:
         mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))
         if not mine:
             continue
         required = next((w for w in requirements if w.loop == own.loop), None)
         asked = required or Requirements(own.loop)
-        asked = asked if met is None else met.asked(asked)
+        asked = asked if tuned is None else tuned.asked(asked)
         verdict, loops = check_loops(mine, own, asked, fits)
         found.append(CheckedLoop(mine, loops, own, required, verdict))
     return tuple(found)
@@ -170,7 +170,7 @@ def _missing(
     requirements: Sequence[Requirements],
 ) -> tuple[Missing, ...]:
     """What would be there after the whole chain and is not, each with its command."""
-    judged = "loopshape report RUN --controller controller.toml --require requirements.toml"
+    command = "loopshape report RUN --controller controller.toml --require requirements.toml"
     found = []
     if run is None:
         found.append(Missing("The recordings: these frequency responses came from elsewhere."))
@@ -182,9 +182,9 @@ def _missing(
     if frfs and not controllers:
         tune = "loopshape tune RUN --require requirements.toml --out controller.toml"
         found.append(Missing("No controller was given, so there are no loops, margins and verdict; make one:", tune))
-        found.append(Missing("and name it:", judged))
+        found.append(Missing("and name it:", command))
     if controllers and not requirements:
-        found.append(Missing("No requirements were given, so margins are reported without verdict:", judged))
+        found.append(Missing("No requirements were given, so margins are reported without verdict:", command))
     measured, governed = {one.loop for one in frfs}, {one.loop for one in controllers}
     found += [
         Missing(f"Loop {c.loop} of the controller file has no frequency response.")

@@ -69,12 +69,12 @@ def read_run(folder: Path) -> Run:
 def _table(folder: Path, words: ConfigTable, entry: ConfigTable) -> TableColumns:
     """A recording's table; its mark stands on the table, on what is stated of it, on loops and outputs."""
     further = (words.table["outputs"],) if "outputs" in words.table else ()
-    said = repr((words.table["rate_hz"], words.table.get("loop"), *further))
+    stated = repr((words.table["rate_hz"], words.table.get("loop"), *further))
     return TableColumns(
         _existing(folder, entry.text("file")),
         words.positive("rate_hz"),
         entry.maybe_text("sha256"),
-        said + repr(sorted(entry.table.items(), key=str)),
+        stated + repr(sorted(entry.table.items(), key=str)),
     )
 
 
@@ -304,12 +304,12 @@ def fill_unlisted(folder: Path, run: Run, recording: Recording) -> Callable[[], 
     make_folder(folder)
     entry, put_in_place = _filled(folder, ConfigTable(_header(run), "the run"), recording)
 
-    def told() -> dict[str, Any]:
+    def adopted() -> dict[str, Any]:
         put_in_place()
         leave_memory(folder / entry["file"])
         return entry
 
-    return told
+    return adopted
 
 
 def read_unlisted(folder: Path, run: Run, name: str) -> dict[str, Any] | None:

@@ -37,10 +37,10 @@ Append = Callable[[Mapping[str, Array]], None]
 
 
 @contextmanager
-def arriving(
+def open_stream_log(
     folder: Path, name: str, about: Mapping[str, Any], rate_hz: float, columns: Sequence[str]
 ) -> Iterator[Append]:
-    """Open `NAME.arriving` for one recording; gives what appends rows: columns (k,) by name.
+    """Open `NAME.open_stream_log` for one recording; gives what appends rows: columns (k,) by name.
 
     The file stays, however this ends: `adopted` removes it, `keep_arrived` keeps what is in it. Refuses one that is
     there already, and a disk that cannot be written.
@@ -119,7 +119,7 @@ def keep_arrived(folder: Path) -> list[tuple[Path, int]]:
             head, columns = read_arriving(path)
         except UnreadableInputError as error:  # not even its head: kept as it is
             os.replace(path, to := next_earlier(folder, name).with_suffix(ARRIVING))
-            note(folder, "kept", recording=name, file=f"{EARLIER}/{to.name}", said=str(error))
+            note(folder, "kept", recording=name, file=f"{EARLIER}/{to.name}", message=str(error))
             continue
         ticks = len(next(iter(columns.values()), ()))
         if ticks:

@@ -282,8 +282,8 @@ def fill_table(
             f"the columns of {path.name} must be equally long",
             ", ".join(f"{name} ({values.size},)" for name, values in signals.items()) or "no columns",
         )
-    said = None if about is None else {_ABOUT: json.dumps(json_ready(about))}
-    schema = pa.schema([pa.field(name, pa.float64(), nullable=False) for name in signals], metadata=said)
+    metadata = None if about is None else {_ABOUT: json.dumps(json_ready(about))}
+    schema = pa.schema([pa.field(name, pa.float64(), nullable=False) for name in signals], metadata=metadata)
     digest = sha256()
 
     def write(part: Path) -> None:

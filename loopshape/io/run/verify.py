@@ -26,11 +26,11 @@ from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_m
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at: its name, whether it is sound (None: it cannot be told), and why not."""
+    """One checked item: its name, whether it is sound (None: undecidable), and the reason if not."""
 
     what: str
     sound: bool | None
-    said: str = ""
+    reason: str = ""
 
 
 def verify(folder: Path, study: Path | None = None) -> list[Finding]:

@@ -156,9 +156,9 @@ def check_all(
     controllers = read_controllers(controller)
     if not matrix and several is None:
         drawn = None if diagram is None else read_diagram(diagram, run)
-        met = None if drawn is None else drawn.equivalent()
-        loops = _single_loops(run, controllers, requirements, profile, disturbance, met)
-        inner = () if met is None else tuple(met.inner.values())
+        equivalent = None if drawn is None else drawn.equivalent()
+        loops = _single_loops(run, controllers, requirements, profile, disturbance, equivalent)
+        inner = () if equivalent is None else tuple(equivalent.inner.values())
         return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)
     if diagram is not None:
         raise WrongUseError("a diagram is checked at its tuned block", "several loops at once", "leave --matrix out")
@@ -175,9 +175,9 @@ def _single_loops(
     requirements: tuple[Requirements, ...] | None,
     profile: Profile | None,
     disturbance: Path | None,
-    met: Equivalent | None = None,
+    equivalent: Equivalent | None = None,
 ) -> tuple[LoopCheck, ...]:
-    frfs, fits = (read_frfs(run), fits_of(run)) if met is None else (met.plants, ())
+    frfs, fits = (read_frfs(run), fits_of(run)) if equivalent is None else (equivalent.plants, ())
     measured = {one.loop for one in frfs}
     if requirements is None:
         requirements = tuple(Requirements(c.loop) for c in controllers if c.loop in measured)
@@ -188,9 +188,9 @@ def _single_loops(
             "give a controller file of this run's loops",
         )
     asked = requirements if profile is None else tuple(map(profile.joined, requirements))
-    asked = asked if met is None else tuple(map(met.asked, asked))
-    shaken = None if disturbance is None else read_run(disturbance)
-    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, shaken) for required in asked)
+    asked = asked if equivalent is None else tuple(map(equivalent.asked, asked))
+    still = None if disturbance is None else read_run(disturbance)
+    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, still) for required in asked)
 
 
 def _several_loops(

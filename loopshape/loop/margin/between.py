@@ -28,11 +28,11 @@ DRAWN = 50
 STEP, SMALL, MOST = 0.05, 0.05, 12
 #: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
 _CIRCLE, _BEYOND = np.tan(np.linspace(-1.5, 1.5, 49)), np.geomspace(25.0, 4000.0, 8)
-ALONG = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
+PATH_HALF_WIDTHS = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
 #: L may leave its curve between lines by this much of what the lines leave theirs (a quarter for a parabola)
 BULGE = 0.5
 #: the path past a pole is followed over this many lines more on either side, where its tails bend
-ASIDE = 2
+NEIGHBOUR_LINES = 2
 #: steps past crowded resonances are halved where 1 + L turns by more than this in rad, so many times
 FAR, ROUNDS = 1.0, 8
 #: resonances of the controller as wide as this many lines need no places of their own
@@ -60,22 +60,22 @@ _RESTS: WeakKeyDictionary[FRF, tuple[Scatter, ComplexArray]] = WeakKeyDictionary
 
 def path_of(loop: Loop) -> Path:
     """L of a loop between its lines."""
-    dense, C = followed(loop)
+    dense, C = interpolated(loop)
     f, (rms, _, alike) = dense.frequency_hz, dense.spread
     return Path(f, C * dense.response, np.abs(C) * rms, alike, np.isin(f, loop.frequency_hz))
 
 
-def followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+def interpolated(loop: Loop) -> tuple[Dense, ComplexArray]:
     """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far.
 
     The same loop, the same answer.
     """
     if loop not in _DONE:
-        _DONE[loop] = _followed(loop)
+        _DONE[loop] = _interpolated(loop)
     return _DONE[loop]
 
 
-def _followed(loop: Loop) -> tuple[Dense, ComplexArray]:
+def _interpolated(loop: Loop) -> tuple[Dense, ComplexArray]:
     dense = between_lines(loop)
     own = _controller_places(loop.controller, dense.frequency_hz)
     if own.size:
@@ -159,7 +159,7 @@ def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, i
     """
     f, P = lines.frequency_hz, _rest(lines, scatter)
     first, last = _lines_about(f, pole.low_hz, pole.high_hz)
-    first, last = max(first - ASIDE, 0), min(last + ASIDE, f.size - 1)
+    first, last = max(first - NEIGHBOUR_LINES, 0), min(last + NEIGHBOUR_LINES, f.size - 1)
     own, P_own = f[first : last + 1], P[first : last + 1]
     z, r = (pole.centre_hz + 1j * pole.half_width_hz)[:, None], pole.residue[:, None]
     at = _places(own, z)
@@ -170,15 +170,15 @@ def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, i
     return first, last, at, made, smooth[0]
 
 
-def turns_past_crowd(crowd: ModeCluster, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
+def turns_past_cluster(cluster: ModeCluster, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
     """Least and most whole turns that 1 + L turns more than the path past resonances that stand close together.
 
     Of all the ways that the lines allow. And how near to -1 the likeliest comes in each gap, (last - first,); the last
     answer is False where L turns too fast about -1 to be followed.
     """
-    own = crowd.window.around[0]
+    own = cluster.window.around[0]
     here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
-    at, P = _along(crowd)
+    at, P = _cluster_path(cluster)
     turns, ways, L = np.zeros(len(at)), np.arange(len(at)), loop.controller.response(at) * P
     near = np.minimum.reduceat(chords_to_minus_one(L[0])[0], np.searchsorted(at[0], own[:-1]))
     for k in range(ROUNDS):
@@ -192,7 +192,7 @@ def turns_past_crowd(crowd: ModeCluster, loop: Loop, path: Path) -> tuple[int, i
         most = int(far.sum(axis=1).max())
         middles = np.sort(np.where(far, 0.5 * (at[:, 1:] + at[:, :-1]), own[0]), axis=1)[:, -most:]
         at = np.concatenate([at, middles], axis=1)
-        L = np.concatenate([L, loop.controller.response(middles) * crowd.response(middles, ways)], axis=1)
+        L = np.concatenate([L, loop.controller.response(middles) * cluster.response(middles, ways)], axis=1)
         rising = np.argsort(at, axis=1, kind="stable")
         at, L = np.take_along_axis(at, rising, axis=1), np.take_along_axis(L, rising, axis=1)
     more = np.rint((turns - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
@@ -200,10 +200,10 @@ def turns_past_crowd(crowd: ModeCluster, loop: Loop, path: Path) -> tuple[int, i
 
 
 @lru_cache(maxsize=16)
-def _along(crowd: ModeCluster) -> tuple[Array, ComplexArray]:
+def _cluster_path(cluster: ModeCluster) -> tuple[Array, ComplexArray]:
     """Frequencies (ways, n) in Hz along the lines of a crowd, dense about its poles, and P there: of no controller."""
-    at = _places(crowd.window.around[0], crowd.pole_hz)
-    P = crowd.response(at, np.arange(len(at)))
+    at = _places(cluster.window.around[0], cluster.pole_hz)
+    P = cluster.response(at, np.arange(len(at)))
     for made in (at, P):
         made.setflags(write=False)
     return at, P
@@ -217,7 +217,7 @@ def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
 def _places(own: Array, z: ComplexArray) -> Array:
     """Frequencies (nz, n) in Hz along lines `own`, dense about each of the poles z (nz, m)."""
     even = np.concatenate([own, np.linspace(own[0], own[-1], 4 * own.size)])
-    dense = (z.real[:, :, None] + np.abs(z.imag)[:, :, None] * ALONG).reshape(len(z), -1)
+    dense = (z.real[:, :, None] + np.abs(z.imag)[:, :, None] * PATH_HALF_WIDTHS).reshape(len(z), -1)
     every = np.concatenate([dense, np.broadcast_to(even, (len(z), even.size))], axis=1)
     return np.sort(np.clip(every, own[0], own[-1]), axis=1)
 

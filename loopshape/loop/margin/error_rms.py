@@ -57,7 +57,7 @@ def error_rms(loop: Loop, disturbance: Disturbance) -> ErrorRms:
     relative = plant.variance[:, 0, 0] / np.abs(plant.siso) ** 2
     kept = np.maximum(np.abs(ratio) ** 2 - np.abs(toward) ** 2 * there.bias(relative), 0.0)
     mean = float(power @ kept)
-    each = there.gathered(power * ratio.conj() * toward, relative.size)
+    each = there.collected(power * ratio.conj() * toward, relative.size)
     variance = 2.0 * plant.line_overlap * float(np.sum(np.abs(each) ** 2 * relative))
     variance += float(scatter @ np.abs(ratio) ** 4)
     above = f > plant.frequency_hz[-1]

@@ -18,9 +18,9 @@ from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requiremen
 from loopshape.data.requirement.weight import Weight, over
 from loopshape.data.response.smoothed import by_draw, spread
 from loopshape.data.result.margins import Margins, Reading
-from loopshape.loop.margin.between import axis_crossings, followed, unit_crossings
+from loopshape.loop.margin.between import axis_crossings, interpolated, unit_crossings
 from loopshape.loop.stability.holes import gaps_of
-from loopshape.loop.stability.low_end import DOWN, LowModel, in_sight, is_large, low_models, poles_at_0
+from loopshape.loop.stability.low_end import BELOW_RATIOS, LowModel, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.stability.obstacles import slope_at_end
 from loopshape.loop.stability.stability import closed_loop_stability
 
@@ -212,7 +212,7 @@ def _not_measured(
 def _judged(loop: Loop) -> _Judged:
     if loop.scatter is None:
         return _Judged(loop.frequency_hz, loop.L, loop.C)
-    dense, own = followed(loop)
+    dense, own = interpolated(loop)
     return _Judged(dense.frequency_hz, own * dense.response, own, own * dense.reference, own, by_draw(dense.deviations))
 
 
@@ -222,7 +222,7 @@ def _from_below(loop: Loop, j: _Judged, model: LowModel) -> _Judged:
     Where L starts on the negative real axis it crosses that at 0 Hz, from the mirrored side.
     """
     finite = poles_at_0(loop) <= 0
-    f = j.f[0] * (DOWN if finite else DOWN[1:])
+    f = j.f[0] * (BELOW_RATIOS if finite else BELOW_RATIOS[1:])
     C = loop.controller.response(f)
     L = C * model.response(f)
     if finite:

@@ -21,7 +21,7 @@ from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.margin.between import Path, chords_to_minus_one
 from loopshape.loop.matrix.several_low_end import LowEnd, low_doubt, low_end, slopes
-from loopshape.loop.stability.obstacles import ON_IT, Obstacle, Sampling, doubt, sampling
+from loopshape.loop.stability.obstacles import ON_IT, Sampling, Undecided, doubt, sampling
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles
 from loopshape.loop.stability.stability import Stability
 
@@ -50,9 +50,9 @@ def closed_loops_stability(loops: Loop) -> Stability:
     """
     counted = encirclement_count(loops)
     from_held = count_from_held(loops) if loops.recorded_under else counted
-    if isinstance(from_held, Obstacle) and isinstance(counted, Obstacle):
+    if isinstance(from_held, Undecided) and isinstance(counted, Undecided):
         return Stability(ClosedLoop.UNDECIDED, None, counted.reason, counted.band_hz)
-    poles = counted if isinstance(from_held, Obstacle) else from_held
+    poles = counted if isinstance(from_held, Undecided) else from_held
     assert isinstance(poles, int)
     if isinstance(counted, int) and counted != poles:
         reason = (
@@ -76,13 +76,13 @@ def _why_stable(counted: bool) -> str:
     return "from the loops that were recorded and stood to these, det(I + L) does not encircle 0"
 
 
-def encirclement_count(loops: Loop) -> int | Obstacle:
+def encirclement_count(loops: Loop) -> int | Undecided:
     """Unstable closed-loop poles, or what keeps the lines from telling.
 
     Negative where the plant's unstable poles are fewer than those that the encirclements would need.
     """
     if loops.unstable_poles is None:
-        return Obstacle(UNKNOWN_POLES)
+        return Undecided(UNKNOWN_POLES)
     loci = characteristic_loci(loops.L_i)
     low = low_end(loops.frequency_hz, loci)
     ends = low_doubt(loops, loci, low) or _high_doubt(loops, loci)
@@ -100,7 +100,7 @@ def encirclement_count(loops: Loop) -> int | Obstacle:
     return poles - 2 * between.turns
 
 
-def count_from_held(loops: Loop) -> int | Obstacle:
+def count_from_held(loops: Loop) -> int | Undecided:
     """Unstable closed-loop poles by what changed since the loops were recorded and stood, or what keeps from telling.
 
     det(I + L) over what it was under the recorded controllers: the plant's own poles cancel, integrators and unstable
@@ -116,7 +116,7 @@ def count_from_held(loops: Loop) -> int | Obstacle:
     f, swing = loops.frequency_hz, float(np.angle(D[0] * 1j**more))
     if abs(deg(swing)) > HELD_DEG or abs(slopes(f, D[:, None])[0] + more) > HELD_SLOPE:
         reason = f"det(I + L) does not agree with that of the recorded loops at the lowest frequency, {f[0]:.3g} Hz"
-        return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
+        return Undecided(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     found = _high_doubt(loops, loci) or _high_doubt(stood, before)
     found = found or _doubt(loops, loci, path, between, complex(2.0 * D[0]))
     if found is not None:
@@ -189,7 +189,7 @@ def _sampling(loops: Loop, as_one: Loop, path: Path) -> Sampling:
         return nothing
     shown = sampling(as_one, path)
     gaps = np.clip(np.searchsorted(f, [pole.centre_hz[0] for pole in poles]) - 1, 0, f.size - 2)
-    return shown if shown.followed[gaps].any() else nothing
+    return shown if shown.interpolated[gaps].any() else nothing
 
 
 def _elements(P: np.ndarray) -> np.ndarray:
@@ -211,13 +211,13 @@ def count_by_determinant(
     return round(unstable_poles + 0.5 * integrators - turn / np.pi)
 
 
-def _high_doubt(loops: Loop, loci: ComplexArray) -> Obstacle | None:
+def _high_doubt(loops: Loop, loci: ComplexArray) -> Undecided | None:
     f = loops.frequency_hz
     size = float(np.abs(loci[-1]).max())
     rate_hz = loops.controllers[0].rate_hz
     if size >= 1.0:
         reason = f"an eigenvalue of L is still {size:.2g} at the highest frequency, {f[-1]:.3g} Hz: measure higher"
-        return Obstacle(reason, (float(f[-1]), float(min(10.0 * f[-1], 0.5 * rate_hz))))
+        return Undecided(reason, (float(f[-1]), float(min(10.0 * f[-1], 0.5 * rate_hz))))
     if loops.beyond is None or not (kept := loops.beyond.frequency_hz < 0.5 * rate_hz).any():
         return None
     above = loops.beyond.select(kept)
@@ -228,26 +228,26 @@ def _high_doubt(loops: Loop, loci: ComplexArray) -> Obstacle | None:
         return None
     at = above.frequency_hz[k]
     reason = f"an eigenvalue of L reaches {radius[k]:.2g} at {at:.3g} Hz, above the band that is known well"
-    return Obstacle(f"{reason}: excite more there", (float(f[-1]), float(above.frequency_hz[-1])))
+    return Undecided(f"{reason}: excite more there", (float(f[-1]), float(above.frequency_hz[-1])))
 
 
-def _on_it(f: Array, loci: ComplexArray, followed: np.ndarray) -> Obstacle | None:
-    """A gap in which an eigenvalue of L passes -1 so near that nothing tells the side; none of those `followed`."""
+def _on_it(f: Array, loci: ComplexArray, interpolated: np.ndarray) -> Undecided | None:
+    """A gap in which an eigenvalue of L passes -1 so near that nothing tells the side; none of those `interpolated`."""
     near = np.min([chords_to_minus_one(one)[0] for one in loci.T], axis=0)
-    near = np.where(followed, np.inf, near) if followed.size else near
+    near = np.where(interpolated, np.inf, near) if interpolated.size else near
     k = int(np.argmin(near))
     if near[k] >= ON_IT:
         return None
-    return Obstacle(
+    return Undecided(
         f"an eigenvalue of L passes -1 within {near[k]:.1g} at {f[k]:.3g} Hz", (float(f[k]), float(f[k + 1]))
     )
 
 
-def _doubt(loops: Loop, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Obstacle | None:
+def _doubt(loops: Loop, loci: ComplexArray, path: Path, between: Sampling, before: complex) -> Undecided | None:
     """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
     if path.f.size < 2:
-        return Obstacle("one frequency does not make a curve")
-    near = _on_it(loops.frequency_hz, loci, between.followed)
+        return Undecided("one frequency does not make a curve")
+    near = _on_it(loops.frequency_hz, loci, between.interpolated)
     found = near or doubt(path, between, before, loops.plant.variance_freedom, "det(I + L)", "0")
     return found or between.unclear
 

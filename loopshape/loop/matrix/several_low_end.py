@@ -8,7 +8,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray, deg
 from loopshape.data.control.loop import Loop, characteristic_loci
-from loopshape.loop.stability.obstacles import Obstacle
+from loopshape.loop.stability.obstacles import Undecided
 
 #: the lowest lines, this ratio of frequencies and four at least, tell the slope there
 LOWEST = 1.6
@@ -86,13 +86,13 @@ def read_integrators(loops: Loop) -> tuple[int | None, str]:
     return every - own, f"plant taken to have {every - own} {word} in all, from the lowest frequencies of det(I + L)"
 
 
-def low_doubt(loops: Loop, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
+def low_doubt(loops: Loop, loci: ComplexArray, low: LowEnd) -> Undecided | None:
     """Why the lowest lines do not tell how det(I + L) goes on below them, None where they do."""
     f = loops.frequency_hz
     lower = (0.1 * float(f[0]), float(f[0]))
     if loops.integrators is None:
         way_out = "declare integrators of the whole plant in the requirements' [several]"
-        return Obstacle(f"the number of integrators of the plant is not known: {way_out}")
+        return Undecided(f"the number of integrators of the plant is not known: {way_out}")
     small = _small_doubt(f, loci, low)
     if small is not None:
         return small
@@ -104,11 +104,11 @@ def low_doubt(loops: Loop, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
             f"slope ({20.0 * low.slope:.0f} dB a decade) and phase ({low.phase_deg:.0f} deg) of det(I + L) at the first"
             f" lines ({f[0]:.3g} Hz) do not fit {every} integrators ({own} of them the controllers')"
         )
-        return Obstacle(f"{reason}: measure lower, or declare integrators of the whole plant", lower)
+        return Undecided(f"{reason}: measure lower, or declare integrators of the whole plant", lower)
     return None
 
 
-def _small_doubt(f: Array, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
+def _small_doubt(f: Array, loci: ComplexArray, low: LowEnd) -> Undecided | None:
     """Loci below 1 at the first line that may have been above it lower down, or that are near -1."""
     for k in np.flatnonzero(~low.large):
         first = loci[0, k]
@@ -116,11 +116,11 @@ def _small_doubt(f: Array, loci: ComplexArray, low: LowEnd) -> Obstacle | None:
         slope = slopes(f, loci)[k]
         if slope < FLAT:
             from_hz = float(f[0] * (0.5 * abs(first)) ** (1.0 / max(-slope, 1.0)))
-            return Obstacle(f"{size}, and falls: its crossover lies lower, measure there", (from_hz, float(f[0])))
+            return Undecided(f"{size}, and falls: its crossover lies lower, measure there", (from_hz, float(f[0])))
     turned = float(deg(np.angle(1.0 + loci[0, ~low.large])).sum())
     if abs(turned) > FLAT_DEG:
         reason = f"eigenvalues of L below 1 turn det(I + L) by {turned:.0f} deg at the lowest frequency, {f[0]:.3g} Hz"
-        return Obstacle(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
+        return Undecided(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     return None
 
 

@@ -77,8 +77,8 @@ def on_common_lines(predicted: FRF, measured: FRF) -> tuple[FRF, FRF, Array, tup
     """
     if not (predicted.valid.any() and measured.valid.any()):
         return predicted, measured, np.zeros(0), _NOTHING
-    reach = [(frf.frequency_hz[0], frf.frequency_hz[-1]) for frf in (predicted, measured)]
-    ends = min(low for low, _ in reach), max(high for _, high in reach)
+    ends_hz = [(frf.frequency_hz[0], frf.frequency_hz[-1]) for frf in (predicted, measured)]
+    ends = min(low for low, _ in ends_hz), max(high for _, high in ends_hz)
     one, two = (frf.select(_clear_of_the_ends(frf, *ends)) for frf in (predicted, measured))
     low, high = max(one.frequency_hz[0], two.frequency_hz[0]), min(one.frequency_hz[-1], two.frequency_hz[-1])
     inside = [frf.frequency_hz[(frf.frequency_hz >= low) & (frf.frequency_hz <= high)] for frf in (one, two)]
@@ -184,7 +184,7 @@ def bands_of(lines: Lines) -> list[slice]:
     return [slice(a, b) for a, b in zip(starts, [*starts[1:], f.size], strict=True)]
 
 
-def judged(lines: Lines) -> tuple[float, tuple[Band, ...]]:
+def tested(lines: Lines) -> tuple[float, tuple[Band, ...]]:
     """p-value that nothing but both measurements' errors lies between S1 and S2, and each band's."""
     x = lines.excess
     bands = tuple(_band(lines, x, rows) for rows in bands_of(lines))

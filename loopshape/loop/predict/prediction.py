@@ -18,7 +18,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction, Step, StepComparison
 from loopshape.data.signal.channel import unit_of
-from loopshape.loop.predict.agreement import judged, noticed_db, on_common_lines, paired
+from loopshape.loop.predict.agreement import noticed_db, on_common_lines, paired, tested
 from loopshape.loop.predict.step_response import DRAWS, predict_step, step_from_lines
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.loop.verdict import loops_of
@@ -104,7 +104,7 @@ def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, toler
     that another controller held, of another loop, or at another rate.
     """
     notes = _checked(prediction, measured)
-    return _judged(prediction.loop, prediction.sensitivity, measured, level, tolerance_db, notes, plants=False)
+    return _tested(prediction.loop, prediction.sensitivity, measured, level, tolerance_db, notes, plants=False)
 
 
 def compare_plants(first: FRF, second: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
@@ -122,7 +122,7 @@ def compare_plants(first: FRF, second: FRF, *, level: float = 0.05, tolerance_db
             raise WrongUseError("both FRFs have the same units", f"{one} and {two}", "import one in the other's units")
     if first.rate_hz and second.rate_hz and first.rate_hz != second.rate_hz:
         raise WrongUseError("both FRFs have one rate", f"{first.rate_hz:g} and {second.rate_hz:g} Hz")
-    return _judged(first.loop, first, second, level, tolerance_db, (), plants=True)
+    return _tested(first.loop, first, second, level, tolerance_db, (), plants=True)
 
 
 def compare_all(first: Sequence[FRF], second: Sequence[FRF], *, tolerance_db: float = 0.0) -> list[Comparison]:
@@ -151,7 +151,7 @@ def _named(frfs: Sequence[FRF]) -> str:
     return ", ".join(dict.fromkeys(f"loop {frf.loop} of {frf.recording}" for frf in frfs))
 
 
-def _judged(
+def _tested(
     loop: str, first: FRF, second: FRF, level: float, tolerance_db: float, notes: tuple[str, ...], plants: bool
 ) -> Comparison:
     """Two measurements of one response."""
@@ -160,7 +160,7 @@ def _judged(
     if not missed.size:
         return _compared(loop, first, second, "cannot tell", level, tolerance_db, notes)
     lines = paired(one, two, missed, tolerance_db, plants)
-    p_value, bands = judged(lines)
+    p_value, bands = tested(lines)
     noticed = noticed_db(lines, level)
     sharp = noticed <= max(NOTICED_DB, 2.0 * tolerance_db)
     outcome = "refuted" if p_value < level else "confirmed" if sharp else "cannot tell"

@@ -30,7 +30,7 @@ class Continued:
         """Relative errors (..., lines) of the FRF on these frequencies (..., nf)."""
         return np.asarray(self.share * relative[..., self.line] + (1.0 - self.share) * relative[..., self.line + 1])
 
-    def gathered(self, pull: ComplexArray, lines: int) -> ComplexArray:
+    def collected(self, pull: ComplexArray, lines: int) -> ComplexArray:
         """How each line's relative error (lines,) pulls a sum over these frequencies: the adjoint of `spread`."""
         each = np.zeros(lines, dtype=complex)
         np.add.at(each, self.line, self.share * pull)

@@ -19,7 +19,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.averages import pooled_variance
 
 #: models may carry the loop this far below its first line, as a ratio of frequencies
-LED = 1.3
+EXTRAPOLATED_BELOW = 1.3
 #: slope and phase of the lowest lines that agree this well, in integrators, leave nothing to be seen below them
 AGREE = 0.3
 #: noise widens that to this at most
@@ -29,7 +29,7 @@ SIMPLE = 4
 #: below this |L| is far from 1, whichever model says so
 SMALL = 0.1
 #: where L is read below its first line, as shares of its frequency: the first stands for 0 Hz
-DOWN = np.concatenate([[1e-6], np.geomspace(0.01, 1.0, 24, endpoint=False)])
+BELOW_RATIOS = np.concatenate([[1e-6], np.geomspace(0.01, 1.0, 24, endpoint=False)])
 
 
 def poles_at_0(loop: Loop) -> int:
@@ -53,7 +53,7 @@ def in_sight(loop: Loop) -> bool:
         return False
     if poles_at_0(loop) <= 0 and largest < 1.0:
         return True
-    octave = low_hz(loop) >= float(loop.frequency_hz[0]) / LED
+    octave = low_hz(loop) >= float(loop.frequency_hz[0]) / EXTRAPOLATED_BELOW
     return all(x[octave].max() >= 1.0 for x in below)
 
 
@@ -162,7 +162,7 @@ def crossover_below(loop: Loop) -> tuple[float, float]:
 
 
 #: models follow the lines up to so many times the first, but this many at least and at most
-_REACH, _FEWEST, _MOST = 4.0, 8, 60
+_FARTHEST, _FEWEST, _MOST = 4.0, 8, 60
 #: orders of B and A, in the order of their number of parameters; models with this many more than the least are kept
 _ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 1), (1, 2), (2, 2), (3, 2))
 _MORE = 2
@@ -215,7 +215,7 @@ def _low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
     plant with a resonance below its first line misleads, unless the lines show it.
     """
     f = frf.frequency_hz
-    count = int(np.clip(np.searchsorted(f, _REACH * f[0], side="right"), min(_FEWEST, f.size), _MOST))
+    count = int(np.clip(np.searchsorted(f, _FARTHEST * f[0], side="right"), min(_FEWEST, f.size), _MOST))
     P, variance = frf.siso[:count], pooled_variance(frf)[:count]
     return _remembered(f[:count].tobytes(), P.tobytes(), variance.tobytes(), integrators)
 

@@ -47,13 +47,13 @@ SAME = 0.5
 #: starts that are followed for each further pole
 _STARTS = 3
 #: poles moved alone are allowed within so many standard deviations; ways of residues and polynomial for each
-REACH, OF_REST = 3.0, 3
+RADIUS_STD, OF_REST = 3.0, 3
 #: chains that walk over poles that the lines allow, steps of each and places kept; of noise so much; and their seed
-CHAINS, WALK, KEPT, WARMTH, SEED = 40, 64, 8, 1.5, 20073
+CHAINS, WALK, DRAWS_PER_CHAIN, TEMPERATURE, SEED = 40, 64, 8, 1.5, 20073
 #: what a fit rounds off, as a share of residue and half width
 UNEXACT = 0.01
 #: how far in gaps each pole is moved while the others stay
-_ASIDE = np.array([-0.5, -0.25, -0.1, -0.03, 0.0, 0.03, 0.1, 0.25, 0.5])
+_OFFSETS_GAPS = np.array([-0.5, -0.25, -0.1, -0.03, 0.0, 0.03, 0.1, 0.25, 0.5])
 
 
 class Residual(Enum):
@@ -109,16 +109,16 @@ class ModeCluster:
         return made
 
 
-def cluster_bands(f: Array, rough: np.ndarray) -> Iterator[ClusterBand]:
+def cluster_bands(f: Array, residual: np.ndarray) -> Iterator[ClusterBand]:
     """One for each run of rough gaps (nf - 1,), fitted on with `BESIDE` lines aside, an octave at most, ten in all."""
-    gaps = np.flatnonzero(rough)
+    gaps = np.flatnonzero(residual)
     for run in np.split(gaps, np.flatnonzero(np.diff(gaps) > BESIDE) + 1):
         if run.size:
             first, last = int(run[0]), int(run[-1]) + 1
             low, high = np.searchsorted(f, [0.5 * f[first], 2.0 * f[last]])
-            low, high = max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), rough.size)
+            low, high = max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), residual.size)
             low = max(min(low, high + 1 - 2 * HALF), 0)
-            yield ClusterBand(first, last, low, min(max(high, low - 1 + 2 * HALF), rough.size))
+            yield ClusterBand(first, last, low, min(max(high, low - 1 + 2 * HALF), residual.size))
 
 
 def interpolation_residual(f: Array, P: ComplexArray, variance: Array, stretch: ClusterBand) -> float:
@@ -151,7 +151,7 @@ def _misfit(window: Windows) -> float:
     return float(np.sum(np.abs(window.rest(window.data[:, :, None])) ** 2))
 
 
-def crowd_of(
+def cluster_of(
     f: Array, P: ComplexArray, variance: Array, freedom: float, stretch: ClusterBand, *, unstable: bool = False
 ) -> ModeCluster:
     """What explains a stretch of lines f (nf,) of P with errors of `variance` (nf,).
@@ -286,7 +286,7 @@ class _Fit:
         rest = _off(Q, self.left)
         column = _off(bent, self._columns(centre.ravel() + 0.01j * np.repeat(self.gaps, _PLACES.size)))
         size = np.maximum(np.sum(np.abs(column) ** 2, axis=0), 1e-300)
-        bound = np.abs(column.conj().T @ rest) / size + REACH * np.sqrt(0.5 * noise / size)
+        bound = np.abs(column.conj().T @ rest) / size + RADIUS_STD * np.sqrt(0.5 * noise / size)
         scale = np.abs(self.window.reference(centre.reshape(1, -1)))[0]
         bound = (bound * scale).reshape(-1, _PLACES.size).max(axis=1)
         return np.where((self.f[1:] > self.low) & (self.f[:-1] < self.high), bound, 0.0)
@@ -308,7 +308,7 @@ class _Fit:
         The likeliest, each pole moved alone, what a walk over all of them meets, and what the fit rounds off.
         """
         moved = self.possible(np.array([z, *self._one_moved(z)]))
-        most = noise * (REACH**2 + 2.0 * z.size)
+        most = noise * (RADIUS_STD**2 + 2.0 * z.size)
         near = moved[self._misfits(moved) <= self.misfit(z) * (1.0 + 1e-9) + most]
         walked = self._walked(z, noise) if z.size else near[:0]
         best, *drawn = self._coefficients(near, noise)
@@ -327,7 +327,7 @@ class _Fit:
         return np.asarray(np.sum(np.abs(self.left) ** 2) - np.sum(np.abs(along) ** 2, axis=1))
 
     def _walked(self, z: ComplexArray, noise: float) -> ComplexArray:
-        """Poles (n, m) drawn as often as the lines allow them, at a `WARMTH` of their noise.
+        """Poles (n, m) drawn as often as the lines allow them, at a `TEMPERATURE` of their noise.
 
         Chains walk from z by steps of all poles or one (Metropolis and others, Journal of Chemical Physics 21, 1953).
         """
@@ -342,9 +342,9 @@ class _Fit:
             step = np.where(alone.any(axis=1, keepdims=True), alone * size * gap * _white(rng, at.shape), step)
             tried = self.possible(at + step / np.maximum(1.0, np.abs(step) / gap))
             now = self._misfits(tried)
-            taken = np.log(rng.random(CHAINS)) < (misfit - now) / (WARMTH * noise)
+            taken = np.log(rng.random(CHAINS)) < (misfit - now) / (TEMPERATURE * noise)
             at, misfit = np.where(taken[:, None], tried, at), np.where(taken, now, misfit)
-            if k % (WALK // KEPT) == 0:
+            if k % (WALK // DRAWS_PER_CHAIN) == 0:
                 kept.append(at)
         return np.concatenate(kept)
 
@@ -375,7 +375,7 @@ class _Fit:
         for k, one in enumerate(z):
             gap = float(np.interp(one.real, self.f[:-1], self.gaps))
             widths = np.append(np.geomspace(SHARPEST * one.real, 4.0 * gap, 13), abs(one.imag))
-            for centre in one.real + gap * _ASIDE:
+            for centre in one.real + gap * _OFFSETS_GAPS:
                 for width in (*widths, *(-widths if self.unstable else ())):
                     yield np.concatenate([z[:k], [complex(centre, width)], z[k + 1 :]])
 

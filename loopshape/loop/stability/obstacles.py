@@ -16,7 +16,7 @@ from loopshape.loop.margin.between import (
     chords_to_minus_one,
     measured,
     turns_past,
-    turns_past_crowd,
+    turns_past_cluster,
     without_narrow,
 )
 from loopshape.loop.stability.holes import hole
@@ -27,7 +27,7 @@ from loopshape.loop.stability.mode_clusters import (
     ModeCluster,
     Residual,
     cluster_bands,
-    crowd_of,
+    cluster_of,
     interpolation_residual,
 )
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
@@ -35,21 +35,21 @@ from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughnes
 #: a count is not given where the chance that the lines' errors make it wrong is above this
 WRONG = 0.005
 #: radius of 95 % of a circular error, in sqrt E|d|²
-REACH_95 = float(np.sqrt(-np.log(0.05)))
+RADIUS_95 = float(np.sqrt(-np.log(0.05)))
 #: a band to measure goes on beyond the lines in question by this factor
-ASIDE = 1.05
+WIDER = 1.05
 #: the peak of one 0.03 gaps wide is no more than so many times how far lines leave a polynomial
 PEAK = 33.0
 #: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
 SCATTER = 2.0
 #: a place between lines that is known so many times worse than they are is a matter of finer lines
-STRAYS = 1.5
+UNCERTAIN_RATIO = 1.5
 #: nearer to -1 than this a chord says nothing
 ON_IT = 1e-3
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class Undecided:
     """Why a count cannot be given, and the band in Hz to measure, None where measuring does not help.
 
     `finer` tells that the lines there lie too far apart; else they are too uncertain, or there are none.
@@ -70,66 +70,66 @@ class Sampling:
     """
 
     turns: int
-    followed: np.ndarray
-    unclear: Obstacle | None
+    interpolated: np.ndarray
+    unclear: Undecided | None
 
     def past(self, path: Path) -> np.ndarray:
         """Places (n,) of a path within such gaps, its lines not among them."""
-        if not self.followed.size:
+        if not self.interpolated.size:
             return np.zeros(path.f.size, dtype=bool)
-        gap = np.clip(np.cumsum(path.line) - 1, 0, self.followed.size - 1)
-        return np.asarray(~path.line & self.followed[gap])
+        gap = np.clip(np.cumsum(path.line) - 1, 0, self.interpolated.size - 1)
+        return np.asarray(~path.line & self.interpolated[gap])
 
 
 def sampling(loop: Loop, path: Path) -> Sampling:
     """Turns of 1 + L past resonances of the plant that lines and `path` step over."""
     f = loop.frequency_hz
-    crowds = _crowds(loop, path)
-    turns, followed, unclear = _past_crowds(loop, path, [x for x in crowds if x.left is not Residual.SCATTER])
+    clusters = _clusters(loop, path)
+    turns, interpolated, unclear = _past_clusters(loop, path, [x for x in clusters if x.left is not Residual.SCATTER])
     for pole in hidden_in(loop):
-        if followed[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
+        if interpolated[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
             continue
         first, last, least, most, sure = turns_past(pole, loop, path)
         turns += least
-        followed[first:last] = True
+        interpolated[first:last] = True
         if (least != most or not sure) and unclear is None:
-            unclear = Obstacle(
+            unclear = Undecided(
                 f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
                 " encircle -1: measure finer there",
                 (float(f[first]), float(f[last])),
                 True,
             )
     return Sampling(
-        turns, followed, unclear or _scatters(loop, path, [x for x in crowds if x.left is Residual.SCATTER])
+        turns, interpolated, unclear or _scatters(loop, path, [x for x in clusters if x.left is Residual.SCATTER])
     )
 
 
-def _past_crowds(loop: Loop, path: Path, crowds: Sequence[ModeCluster]) -> tuple[int, np.ndarray, Obstacle | None]:
+def _past_clusters(loop: Loop, path: Path, clusters: Sequence[ModeCluster]) -> tuple[int, np.ndarray, Undecided | None]:
     """Turns past resonances that stand close together, gaps (nf - 1,) where they do, what is unclear of them."""
     f, C, unclear = loop.frequency_hz, _larger(np.abs(loop.C)), None
-    turns, followed = 0, np.zeros(max(f.size - 1, 0), dtype=bool)
-    for crowd in crowds:
-        least, most, near, sure = turns_past_crowd(crowd, loop, path)
-        gaps, turns = slice(crowd.first, crowd.last), turns + least
-        followed[gaps] = True
-        hidden = np.flatnonzero(C[gaps] * crowd.hidden > SHARPEST * f[gaps] * near)
+    turns, interpolated = 0, np.zeros(max(f.size - 1, 0), dtype=bool)
+    for cluster in clusters:
+        least, most, near, sure = turns_past_cluster(cluster, loop, path)
+        gaps, turns = slice(cluster.first, cluster.last), turns + least
+        interpolated[gaps] = True
+        hidden = np.flatnonzero(C[gaps] * cluster.hidden > SHARPEST * f[gaps] * near)
         if unclear is None and hidden.size:
-            unclear = _unexplained(float(f[crowd.first + hidden[0]]), float(f[crowd.first + hidden[-1] + 1]))
+            unclear = _unexplained(float(f[cluster.first + hidden[0]]), float(f[cluster.first + hidden[-1] + 1]))
         elif unclear is None and (least != most or not sure):
-            low, high = float(f[crowd.first]), float(f[crowd.last])
+            low, high = float(f[cluster.first]), float(f[cluster.last])
             reason = f"resonances between {low:.4g} and {high:.4g} Hz, close together, may or may not encircle -1"
-            unclear = Obstacle(f"{reason}: measure finer there", (low, high), True)
-    return turns, followed, unclear
+            unclear = Undecided(f"{reason}: measure finer there", (low, high), True)
+    return turns, interpolated, unclear
 
 
-def _scatters(loop: Loop, path: Path, crowds: Sequence[ModeCluster]) -> Obstacle | None:
+def _scatters(loop: Loop, path: Path, clusters: Sequence[ModeCluster]) -> Undecided | None:
     """Gaps about which lines that scatter lie so near -1 that their error, a disk about them, holds it."""
-    f, (rough, scatter) = loop.frequency_hz, rough_in(loop)
-    for crowd in crowds:
-        scatter[crowd.first : crowd.last] = True
+    f, (residual, scatter) = loop.frequency_hz, interpolation_residuals(loop)
+    for cluster in clusters:
+        scatter[cluster.first : cluster.last] = True
     if not scatter.any():
         return None
-    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * np.where(scatter, rough, 0.0) > _nearest(path))
+    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * np.where(scatter, residual, 0.0) > _nearest(path))
     return _unexplained(float(f[gaps[0]]), float(f[gaps[-1] + 1])) if gaps.size else None
 
 
@@ -143,9 +143,9 @@ def _nearest(path: Path) -> Array:
     return np.asarray(np.minimum.reduceat(chords_to_minus_one(path.L)[0], np.flatnonzero(path.line)[:-1]))
 
 
-def _unexplained(low_hz: float, high_hz: float) -> Obstacle:
+def _unexplained(low_hz: float, high_hz: float) -> Undecided:
     reason = f"neither noise nor resonances explain the lines between {low_hz:.4g} and {high_hz:.4g} Hz"
-    return Obstacle(f"{reason}: measure finer there", (low_hz, high_hz), True)
+    return Undecided(f"{reason}: measure finer there", (low_hz, high_hz), True)
 
 
 def may_be_oscillatory(loop: Loop) -> bool:
@@ -165,37 +165,37 @@ def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
     return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
 
 
-def _crowds(loop: Loop, path: Path) -> list[ModeCluster]:
+def _clusters(loop: Loop, path: Path) -> list[ModeCluster]:
     """Resonances close together that might encircle -1, of measured lines: a narrow one may have been several."""
-    found = stretches_in(loop)
+    found = cluster_bands_in(loop)
     if not found:
         return []
     f, near = loop.frequency_hz, _nearest(path)
-    reach = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), PEAK)
+    radius = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), PEAK)
     return [
-        crowd_in(loop, stretch)
-        for stretch in found
-        if np.any((strays_in(loop, stretch) * reach > near)[stretch.low : stretch.high])
+        cluster_in(loop, band)
+        for band in found
+        if np.any((polynomial_residual(loop, band) * radius > near)[band.low : band.high])
     ]
 
 
-def stretches_in(loop: Loop) -> tuple[ClusterBand, ...]:
+def cluster_bands_in(loop: Loop) -> tuple[ClusterBand, ...]:
     """Stretches of a loop's measured lines that neither noise nor one pole explains, whatever its controller."""
     return tuple(cluster_bands(loop.frequency_hz, _not_one(loop)))
 
 
-def strays_in(loop: Loop, stretch: ClusterBand) -> float:
+def polynomial_residual(loop: Loop, band: ClusterBand) -> float:
     """How far the lines of a stretch leave a polynomial at most, in |P|."""
-    return interpolation_residual(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], stretch)
+    return interpolation_residual(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], band)
 
 
-def crowd_in(loop: Loop, stretch: ClusterBand) -> ModeCluster:
+def cluster_in(loop: Loop, band: ClusterBand) -> ModeCluster:
     """What explains the lines of a stretch, whatever the controller."""
     unstable = may_be_oscillatory(loop)
-    return crowd_of(loop.frequency_hz, measured(loop).siso, *_spread(loop), stretch, unstable=unstable)
+    return cluster_of(loop.frequency_hz, measured(loop).siso, *_spread(loop), band, unstable=unstable)
 
 
-def rough_in(loop: Loop) -> tuple[Array, np.ndarray]:
+def interpolation_residuals(loop: Loop) -> tuple[Array, np.ndarray]:
     """How far from its lines P may come in each gap (nf - 1,) that no one pole explains, and where lines scatter."""
     seen, unstable = (loop.frequency_hz, without_narrow(loop), *_spread(loop)), may_be_oscillatory(loop)
     return roughness(*seen, unstable=unstable), np.array(scattered(*seen, unstable=unstable))
@@ -203,15 +203,15 @@ def rough_in(loop: Loop) -> tuple[Array, np.ndarray]:
 
 def _not_one(loop: Loop) -> np.ndarray:
     """Gaps (nf - 1,) about which neither noise nor one pole explains the lines, and poles beside these."""
-    f, (size, scatter) = loop.frequency_hz, rough_in(loop)
-    rough = np.where(scatter, 0.0, size) > 0.0
-    if rough.any():
+    f, (size, scatter) = loop.frequency_hz, interpolation_residuals(loop)
+    residual = np.where(scatter, 0.0, size) > 0.0
+    if residual.any():
         narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
         known = np.concatenate([[pole.centre_hz[0] for pole in hidden_in(loop)], narrow])
-        gaps = np.clip(np.searchsorted(f, known) - 1, 0, rough.size - 1)
-        beside = np.convolve(rough, np.ones(2 * BESIDE + 1), "same")[: rough.size] > 0.0
-        rough[gaps[beside[gaps]]] = True
-    return rough
+        gaps = np.clip(np.searchsorted(f, known) - 1, 0, residual.size - 1)
+        beside = np.convolve(residual, np.ones(2 * BESIDE + 1), "same")[: residual.size] > 0.0
+        residual[gaps[beside[gaps]]] = True
+    return residual
 
 
 def unseen_resonance(loop: Loop) -> tuple[float, float]:
@@ -232,12 +232,12 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     return max(float(damping[k]), SHARPEST), float(middle[k])
 
 
-def obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle]:
+def obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Undecided]:
     """What keeps the lines from carrying a count; 1 + L comes from `before` to the first line."""
     return (x for x in _obstacles(loop, path, between, before) if x is not None)
 
 
-def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Obstacle | None]:
+def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Undecided | None]:
     yield _too_short(loop, loop.L, loop.frequency_hz)
     yield comes_up_again(loop)
     yield on_it(path, between)
@@ -245,15 +245,15 @@ def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> It
     yield doubt(path, between, before if loop.model is None else None, freedom)
     yield between.unclear
     missing = hole(loop)
-    yield None if missing is None else Obstacle(*missing, finer=True)
+    yield None if missing is None else Undecided(*missing, finer=True)
 
 
-def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Obstacle | None:
+def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Undecided | None:
     if abs(L[-1]) < 1.0:
         return None
     top = min(f[-1] * (2.0 * abs(L[-1])) ** (1.0 / max(slope_at_end(f, L), 1.0)), 0.5 * loop.controller.rate_hz)
     reason = f"|L| is still {abs(L[-1]):.2g} at the last line, {f[-1]:.3g} Hz: measure higher"
-    return Obstacle(reason, (float(f[-1]), max(float(top), float(f[-1]))))
+    return Undecided(reason, (float(f[-1]), max(float(top), float(f[-1]))))
 
 
 def slope_at_end(f: Array, L: ComplexArray) -> float:
@@ -264,7 +264,7 @@ def slope_at_end(f: Array, L: ComplexArray) -> float:
     return float(-np.polyfit(np.log(f[tail]), np.log(np.maximum(np.abs(L[tail]), 1e-300)), 1)[0])
 
 
-def comes_up_again(loop: Loop) -> Obstacle | None:
+def comes_up_again(loop: Loop) -> Undecided | None:
     """Where |L| reaches 1 above the lines used, as far as less sure lines there show it."""
     if loop.beyond is None:
         return None
@@ -275,10 +275,10 @@ def comes_up_again(loop: Loop) -> Obstacle | None:
         return None
     k = int(np.argmax(size))
     reason = f"|L| reaches {size[k]:.2g} at {f[k]:.3g} Hz, above the band that is known well: excite more there"
-    return Obstacle(reason, _around(f, np.flatnonzero(size >= 1.0)))
+    return Undecided(reason, _around(f, np.flatnonzero(size >= 1.0)))
 
 
-def on_it(path: Path, between: Sampling) -> Obstacle | None:
+def on_it(path: Path, between: Sampling) -> Undecided | None:
     """A place where the path passes -1 so near that nothing tells on which side."""
     past = between.past(path)
     near = np.where(past[1:] | past[:-1], np.inf, chords_to_minus_one(path.L)[0])
@@ -286,12 +286,12 @@ def on_it(path: Path, between: Sampling) -> Obstacle | None:
         return None
     k = int(np.argmin(near))
     at = path.f[k] + chords_to_minus_one(path.L)[1][k] * (path.f[k + 1] - path.f[k])
-    return Obstacle(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at), True)
+    return Undecided(f"L passes -1 within {near[k]:.1g} at {at:.3g} Hz", _lines_beside(path, at), True)
 
 
 def doubt(
     path: Path, between: Sampling, before: complex | None, freedom: float, curve: str = "L", point: str = "-1"
-) -> Obstacle | None:
+) -> Undecided | None:
     """Places where errors may carry the path over -1: one whose 95 % circle holds it, or all of them together.
 
     Where L starts on the real axis, at `before` - 1, that start is as unsure as the first line.
@@ -299,26 +299,26 @@ def doubt(
     std = path.std
     chord = np.concatenate([[np.inf], chords_to_minus_one(path.L)[0], [np.inf]])
     near = np.minimum(np.abs(1.0 + path.L), np.minimum(chord[1:], chord[:-1]))
-    reach = np.where(between.past(path), np.inf, reach_of(near, std, freedom))
+    radius = np.where(between.past(path), np.inf, radius_of(near, std, freedom))
     if before is not None:
-        reach[0] = min(reach[0], float(reach_of(np.array([before]), std[:1], freedom)[0]))
-    k = int(np.argmin(reach))
-    if reach[k] < REACH_95:
+        radius[0] = min(radius[0], float(radius_of(np.array([before]), std[:1], freedom)[0]))
+    k = int(np.argmin(radius))
+    if radius[k] < RADIUS_95:
         low, high = _lines_beside(path, float(path.f[k]))
-        if not path.line[k] and std[k] > STRAYS * float(std[np.searchsorted(path.f, [low, high])].max()):
+        if not path.line[k] and std[k] > UNCERTAIN_RATIO * float(std[np.searchsorted(path.f, [low, high])].max()):
             reason = (
                 f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
             )
-            return Obstacle(f"{reason}: measure finer there", (low, high), True)
+            return Undecided(f"{reason}: measure finer there", (low, high), True)
         reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
-        return Obstacle(reason, _around(path.f, np.flatnonzero(reach < REACH_95)))
-    chance, share = chance_of_error(reach, path.alike)
+        return Undecided(reason, _around(path.f, np.flatnonzero(radius < RADIUS_95)))
+    chance, share = chance_of_error(radius, path.alike)
     if chance <= WRONG:
         return None
     reason = (
         f"errors of {curve} may carry it over {point} (chance {100.0 * chance:.1g} %): measure longer or excite more"
     )
-    return Obstacle(reason, _around(path.f, np.flatnonzero(share >= 0.1 * share.max())))
+    return Undecided(reason, _around(path.f, np.flatnonzero(share >= 0.1 * share.max())))
 
 
 def _lines_beside(path: Path, at_hz: float) -> tuple[float, float]:
@@ -329,33 +329,33 @@ def _lines_beside(path: Path, at_hz: float) -> tuple[float, float]:
 
 
 def _around(f: Array, lines: np.ndarray) -> tuple[float, float]:
-    """From the first to the last of some lines in Hz, and a line more on either side or as far as `ASIDE` goes."""
+    """From the first to the last of some lines in Hz, with a line more on either side or as far as `WIDER`."""
     low, high = f[max(int(lines[0]) - 1, 0)], f[min(int(lines[-1]) + 1, f.size - 1)]
-    return float(max(min(low, f[lines[0]] / ASIDE), f[0])), float(min(max(high, f[lines[-1]] * ASIDE), f[-1]))
+    return float(max(min(low, f[lines[0]] / WIDER), f[0])), float(min(max(high, f[lines[-1]] * WIDER), f[-1]))
 
 
-def reach_of(g: ComplexArray, std: Array, freedom: float = np.inf) -> Array:
+def radius_of(g: ComplexArray, std: Array, freedom: float = np.inf) -> Array:
     """|g| (nf,) in standard deviations sqrt E|d|² of a circular error, inf where there is none.
 
     A deviation that was itself estimated, with `freedom` degrees, counts for less: |d|² follows an F distribution with
     2 and `freedom` degrees, and the reach given is that of equal chance of a normal error.
     """
     with np.errstate(divide="ignore"):
-        reach = np.abs(g) / np.where(std > 0.0, std, np.nan)
-    reach = np.nan_to_num(reach, nan=np.inf)
-    return np.asarray(np.sqrt(0.5 * freedom * np.log1p(2.0 * reach**2 / freedom)) if np.isfinite(freedom) else reach)
+        radius = np.abs(g) / np.where(std > 0.0, std, np.nan)
+    radius = np.nan_to_num(radius, nan=np.inf)
+    return np.asarray(np.sqrt(0.5 * freedom * np.log1p(2.0 * radius**2 / freedom)) if np.isfinite(freedom) else radius)
 
 
-def chance_of_error(reach: Array, alike: Array) -> tuple[float, Array]:
+def chance_of_error(radius: Array, alike: Array) -> tuple[float, Array]:
     """Chance that errors carry a path over a point, one at most, and the share (n,) of each place.
 
-    `reach` (n,) is the distance from the point in deviations, `alike` (n - 1,) the correlation of neighbours' errors
+    `radius` (n,) is the distance from the point in deviations, `alike` (n - 1,) the correlation of neighbours' errors
     (`data.smoothed.spread`). The error along the shortest way is normal; it passes the point at the nearest place, or
     comes to do so from one place to the next: as often as a normal process rises through a level (Rice, Bell System
     Technical Journal 24, 1945).
     """
-    level, beyond = np.exp(-(reach**2)), ndtr(-np.sqrt(2.0) * reach)
-    nearest = int(np.argmin(reach))
+    level, beyond = np.exp(-(radius**2)), ndtr(-np.sqrt(2.0) * radius)
+    nearest = int(np.argmin(radius))
     at_nearest = float(beyond[nearest])  # whatever carries it over
     level[nearest] = beyond[nearest] = 0.0
     rising = np.arccos(np.clip(alike, 0.0, 1.0)) / TWO_PI * (level[1:] + level[:-1])

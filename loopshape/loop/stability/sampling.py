@@ -23,7 +23,7 @@ FALSE_ALARM = 1e-3
 #: wider than this a pole is resolved by the lines, in gaps
 RESOLVED = 2.0
 #: how far from the best fit a pole is still allowed, in standard deviations
-REACH = 3.0
+RADIUS_STD = 3.0
 #: a residue this many deviations (sqrt E|d|²) above the threshold is found in 99.9 % of cases
 SURE = 2.2
 #: lines from f to so many times f and more are no neighbours whom one polynomial should follow
@@ -32,7 +32,7 @@ WIDEST = 4.0
 ROUGH = 0.005
 #: lines scatter all along where this share of the windows within so many gaps that share no line with a rough one leave
 #: more than noise, and in deviations this share of what the rough one leaves at least
-MOSTLY, ALONG, COMPARABLE = 0.75, 60, 0.1
+MOSTLY, SCATTER_GAPS, COMPARABLE = 0.75, 60, 0.1
 #: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
 _PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0), 3.0
 
@@ -114,13 +114,13 @@ def _remembered(
     significance, visible, misfit = _screen(windows)
     found = [_pole(windows[int(k)], threshold, unstable) for k in np.flatnonzero(significance > threshold)]
     poles = _apart([pole for pole in found if pole is not None])
-    rough = _unexplained(windows, poles, misfit, LEFT * float(f_distribution.isf(share, 2 * LEFT, freedom)))
+    residual = _unexplained(windows, poles, misfit, LEFT * float(f_distribution.isf(share, 2 * LEFT, freedom)))
     visible = (np.sqrt(threshold) + SURE) * visible
     visible[[0, -1]] = np.inf
-    scatter = _scattered(windows, misfit, rough)
-    for made in (visible, rough, scatter):
+    scatter = _scattered(windows, misfit, residual)
+    for made in (visible, residual, scatter):
         made.setflags(write=False)
-    return poles, visible, rough, scatter
+    return poles, visible, residual, scatter
 
 
 def _screen(windows: Windows) -> tuple[Array, Array, Array]:
@@ -144,7 +144,7 @@ def _screen(windows: Windows) -> tuple[Array, Array, Array]:
 
 def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array, limit: float) -> Array:
     """Root mean square (n,) of what one pole leaves of windows whose `misfit` (n,) is above a limit, else 0."""
-    rough = np.zeros(misfit.size)
+    residual = np.zeros(misfit.size)
     known = np.array([x.centre_hz[0] + 1j * x.half_width_hz[0] for x in poles])
     narrow = windows.around[:, -1] < WIDEST * windows.around[:, 0]
     for k in np.flatnonzero(narrow & (misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
@@ -155,23 +155,23 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
         tried = known[(known.real > window.around[0, 0]) & (known.real < window.around[0, -1])]
         if tried.size and before - _explained(window, left, tried[None, :])[0].max() < enough:
             continue
-        z = _improved(window, left, _start(window, left, reach=HALF - 0.5))
+        z = _improved(window, left, _start(window, left, beside=HALF - 0.5))
         rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
         if rest > enough or abs(z.imag) < RESOLVED * window.gap[0]:
-            rough[k] = np.sqrt(max(rest, limit) / LEFT) * window.std[0]
-    return rough
+            residual[k] = np.sqrt(max(rest, limit) / LEFT) * window.std[0]
+    return residual
 
 
-def _scattered(windows: Windows, misfit: Array, rough: Array) -> np.ndarray:
+def _scattered(windows: Windows, misfit: Array, residual: Array) -> np.ndarray:
     """At which rough gaps (n,) most windows about, of other lines, leave much too, by their `misfit` (n,)."""
-    scatter = rough > 0.0
-    off = np.arange(2 * HALF, ALONG)
+    scatter = residual > 0.0
+    off = np.arange(2 * HALF, SCATTER_GAPS)
     gaps = np.flatnonzero(scatter)[:, None] + np.concatenate([-off[::-1], off])  # of a million lines few are rough
-    about = (gaps >= 0) & (gaps < rough.size)
-    least = np.maximum((COMPARABLE * rough[scatter] / windows.std[scatter]) ** 2, ROUNDED) * LEFT
-    left = misfit[np.clip(gaps, 0, rough.size - 1)]
+    about = (gaps >= 0) & (gaps < residual.size)
+    least = np.maximum((COMPARABLE * residual[scatter] / windows.std[scatter]) ** 2, ROUNDED) * LEFT
+    left = misfit[np.clip(gaps, 0, residual.size - 1)]
     count, alike = about.sum(axis=1), (about & (left > least[:, None])).sum(axis=1)
-    scatter[scatter] = (count > ALONG // 2) & (alike > MOSTLY * count)
+    scatter[scatter] = (count > SCATTER_GAPS // 2) & (alike > MOSTLY * count)
     return np.asarray(scatter)
 
 
@@ -202,12 +202,12 @@ def _pole(window: Windows, threshold: float, unstable: bool) -> HiddenPole | Non
     if drop[0, 0] < threshold * noise or not -0.2 * gap < z.real - window.low[0] < 1.2 * gap:
         return None
     slope = np.abs(r[0, 0]) * np.sqrt((np.abs(_bent(window, z)) ** 2).sum())
-    spread = REACH * float(np.sqrt(noise) / slope)
+    spread = RADIUS_STD * float(np.sqrt(noise) / slope)
     if abs(z.imag) - spread > RESOLVED * gap:
         return None
-    allowed = _allowed(window, left, z, spread, drop[0, 0] - REACH**2 * noise, unstable)
+    allowed = _allowed(window, left, z, spread, drop[0, 0] - RADIUS_STD**2 * noise, unstable)
     _, r, variance = _explained(window, left, allowed[None, :])
-    error = REACH * np.sqrt(0.5 * noise * variance[0]) + UNEXACT * np.abs(r[0])
+    error = RADIUS_STD * np.sqrt(0.5 * noise * variance[0]) + UNEXACT * np.abs(r[0])
     every = np.tile(allowed, 5)
     residues = np.concatenate([r[0] + turn * error for turn in (0.0, 1.0, 1j, -1.0, -1j)])
     return HiddenPole(
@@ -227,11 +227,11 @@ def _possible(z: complex, unstable: bool) -> complex:
     return complex(z.real, -size if unstable and z.imag < 0.0 else size)
 
 
-def _start(window: Windows, left: ComplexArray, reach: float = 0.45) -> complex:
+def _start(window: Windows, left: ComplexArray, beside: float = 0.45) -> complex:
     """The best of a grid of poles in the gap and as many gaps beside it."""
     gap = float(window.gap[0])
-    count = 2 * round(20.0 * (0.5 + reach)) + 1
-    places, widths = np.meshgrid(np.linspace(-reach, 1.0 + reach, count), [0.003, 0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0])
+    count = 2 * round(20.0 * (0.5 + beside)) + 1
+    places, widths = np.meshgrid(np.linspace(-beside, 1.0 + beside, count), [0.003, 0.03, 0.1, 0.3, 0.6, 1.0, 2.0, 4.0])
     z = window.low[0] + gap * (places + 1j * widths).ravel()
     return complex(z[np.argmax(_explained(window, left, z[None, :])[0])])
 

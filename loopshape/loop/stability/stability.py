@@ -24,7 +24,7 @@ from loopshape.identify.smooth.resonances import Phase, resonances
 from loopshape.loop.margin.between import Path, between_lines, measured, path_of
 from loopshape.loop.stability.low_end import (
     AGREE,
-    DOWN,
+    BELOW_RATIOS,
     below_lines,
     crossover_below,
     holds_below,
@@ -36,7 +36,7 @@ from loopshape.loop.stability.low_end import (
     low_order,
     poles_at_0,
 )  # fmt: skip
-from loopshape.loop.stability.obstacles import REACH_95, Obstacle, Sampling, obstacles, sampling, unseen_resonance
+from loopshape.loop.stability.obstacles import RADIUS_95, Sampling, Undecided, obstacles, sampling, unseen_resonance
 
 UNKNOWN_POLES = (
     "the number of unstable poles of the plant is not known: declare unstable_poles in the requirements' [[loop]], name"
@@ -94,7 +94,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
         )
         return _undecided(reason, crossover_below(loop))
     poles = unstable_count(loop)
-    if isinstance(poles, Obstacle):
+    if isinstance(poles, Undecided):
         return _undecided(poles.reason, poles.band_hz)
     if poles < 0:
         return _undecided(f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
@@ -152,13 +152,13 @@ def _undecided(reason: str, band_hz: tuple[float, float] | None = None) -> Stabi
     return Stability(ClosedLoop.UNDECIDED, None, reason, band_hz)
 
 
-def unstable_count(loop: Loop) -> int | Obstacle:
+def unstable_count(loop: Loop) -> int | Undecided:
     """Closed-loop poles in the right half plane, or what keeps the lines from telling; integrators must be known.
 
     Negative where the loop's unstable poles are fewer than those that its encirclements would need.
     """
     if loop.unstable_poles is None:
-        return Obstacle(UNKNOWN_POLES)
+        return Undecided(UNKNOWN_POLES)
     path, below = path_of(loop), _ways_below(loop)
     between = sampling(loop, path)
     poles = _counted(loop, path, between, below)
@@ -177,7 +177,7 @@ def _counted(loop: Loop, path: Path, between: Sampling, below: list[ComplexArray
     return None if poles is None else poles - 2 * between.turns
 
 
-def obstacles_of(loop: Loop) -> tuple[Obstacle, ...]:
+def obstacles_of(loop: Loop) -> tuple[Undecided, ...]:
     """All that keeps the lines of a loop with known poles from telling, of which `unstable_count` gives the first."""
     if loop.integrators is None or loop.unstable_poles is None:
         return ()
@@ -188,7 +188,7 @@ def obstacles_of(loop: Loop) -> tuple[Obstacle, ...]:
 
 def _obstacles(
     loop: Loop, path: Path, between: Sampling, below: list[ComplexArray], poles: int | None
-) -> Iterator[Obstacle]:
+) -> Iterator[Undecided]:
     first = _doubt_below(loop)
     if first is not None:
         yield first
@@ -220,36 +220,36 @@ def swing_near(loop: Loop) -> float:
     return float(turn[-1] - turn[0] - 0.5 * np.pi * more)
 
 
-def _doubt_below(loop: Loop) -> Obstacle | None:
+def _doubt_below(loop: Loop) -> Undecided | None:
     """Where the error of a model of the lowest lines may carry L over -1 below them."""
     if is_large(loop):
         return None
     errors = between_lines(loop).deviations if loop.scatter is None else loop.scatter.deviations
-    f = float(loop.frequency_hz[0]) * DOWN[1:]
+    f = float(loop.frequency_hz[0]) * BELOW_RATIOS[1:]
     C = loop.controller.response(f)
     for model in low_models(loop):
         moved = C * model.deviations(f, errors)
         far = np.abs(1.0 + C * model.response(f)) / np.maximum(np.sqrt(np.mean(np.abs(moved) ** 2, axis=0)), 1e-300)
-        if far.min() < REACH_95:
+        if far.min() < RADIUS_95:
             at, first = float(f[np.argmin(far)]), float(loop.frequency_hz[0])
             reason = f"-1 lies within the uncertainty of L at {at:.3g} Hz, below the first frequency, {first:.3g} Hz"
-            return Obstacle(f"{reason}: measure lower", (at, first))
+            return Undecided(f"{reason}: measure lower", (at, first))
     return None
 
 
-def _unknown_below(loop: Loop) -> Obstacle:
+def _unknown_below(loop: Loop) -> Undecided:
     f, L = loop.frequency_hz, loop.L
     reason = f"the lowest lines do not tell how L, {abs(L[0]):.2g} at {f[0]:.3g} Hz, goes on below them: measure lower"
-    return Obstacle(reason, (LOWER * float(f[0]), float(f[0])))
+    return Undecided(reason, (LOWER * float(f[0]), float(f[0])))
 
 
-def _misfit(loop: Loop, integrators: int) -> Obstacle:
+def _misfit(loop: Loop, integrators: int) -> Undecided:
     f, L = loop.frequency_hz, loop.L
     reason = (
         f"the phase of L at the lowest frequency ({f[0]:.3g} Hz, {deg(np.angle(L[0])):.0f} deg) does not fit"
         f" {integrators} integrators (the controller's included): measure lower, or correct the declaration"
     )
-    return Obstacle(reason, (LOWER * float(f[0]), float(f[0])))
+    return Undecided(reason, (LOWER * float(f[0]), float(f[0])))
 
 
 def _before_first(L: ComplexArray, integrators: int, negative: bool, below: ComplexArray) -> complex:

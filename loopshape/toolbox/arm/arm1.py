@@ -89,7 +89,7 @@ class Arm1(Arm):
 
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> following.Followed:
         """The recording's commands and what was measured, for `residuals`."""
-        f = following.followed(recording, run, longest_s)
+        f = following.simulated_along(recording, run, longest_s)
         return following.with_capacity_slopes(f, self.parameters.vector(f.parameters))
 
     def residuals(self, prepared: following.Followed, moves: Mapping[str, float]) -> dict[str, Array]:

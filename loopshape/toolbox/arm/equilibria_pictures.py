@@ -14,7 +14,7 @@ from loopshape.core.units import Array
 from loopshape.view.labels import numbers, quantity
 from loopshape.view.style import COLOURS, axes_or_new, styled
 
-Line = Callable[[Array, Array], Array]
+Curve = Callable[[Array, Array], Array]
 Points = Sequence[Mapping[str, float]]
 _SIZE = (4.6, 4.4)
 
@@ -73,7 +73,7 @@ def _frame(ax: Axes, x: Array, y: Array, x_column: str, y_column: str) -> None:
     ax.set_ylabel(quantity(y_column))
 
 
-def _contours(ax: Axes, x: Array, y: Array, z: Array, step: float, colour: str, dash: str, line: Line) -> None:
+def _contours(ax: Axes, x: Array, y: Array, z: Array, step: float, colour: str, dash: str, line: Curve) -> None:
     """Labelled contours at whole steps, the labels along a line across them; nothing where the values hold none."""
     levels = _levels(np.asarray(z, dtype=float), step)
     if not levels.size:
@@ -85,7 +85,7 @@ def _contours(ax: Axes, x: Array, y: Array, z: Array, step: float, colour: str, 
     ax.clabel(lines, fmt=texts, fontsize=7.0, inline_spacing=3.0, manual=places)
 
 
-def _places(ax: Axes, paths: Sequence[Path], line: Line) -> list[tuple[float, float]]:
+def _places(ax: Axes, paths: Sequence[Path], line: Curve) -> list[tuple[float, float]]:
     """The vertex of each contour nearest to the zero of `line`, a function of fractions of what they span.
 
     A contour that ends far from that line, or runs along the frame only, stays without a label.

@@ -30,7 +30,7 @@ def by_cluster(work: Work[J, R], jobs: Iterable[J], address: str) -> Generator[t
     from distributed import KilledWorker, as_completed
 
     left, count, open_tasks = iter(jobs), 1, 0
-    with client, _said(address, KilledWorker):
+    with client, _message(address, KilledWorker):
         client.wait_for_workers(1, timeout=_PATIENCE_S)
         coming = as_completed()
         tasks: dict[str, Sequence[J]] = {}
@@ -51,10 +51,10 @@ def by_cluster(work: Work[J, R], jobs: Iterable[J], address: str) -> Generator[t
 
 def _batch(work: Work[J, R], jobs: Sequence[J]) -> tuple[list[R], float]:
     """What came of the work on each, and the seconds that all took."""
-    begun = time.perf_counter()
+    start_s = time.perf_counter()
     with ThreadPoolExecutor(1) as disk:
         answers = [disk.submit(work(job)) for job in jobs]
-    return [answer.result() for answer in answers], time.perf_counter() - begun
+    return [answer.result() for answer in answers], time.perf_counter() - start_s
 
 
 def _next_count(jobs: int, seconds: float) -> int:
@@ -67,7 +67,7 @@ def _threads(client: Any) -> int:
 
 
 @contextmanager
-def _said(address: str, killed: type[Exception]) -> Generator[None]:
+def _message(address: str, killed: type[Exception]) -> Generator[None]:
     try:
         yield
     except killed as error:

@@ -33,7 +33,7 @@ def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generat
 
     The job of a process that dies is done again by another; a job that ends two of them raises `RigError`.
     """
-    left, deaths = _Left(jobs), Counter[int]()
+    left, deaths = _Remaining(jobs), Counter[int]()
     team: list[_Process[J]] = []
     try:
         while True:
@@ -43,7 +43,7 @@ def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generat
                 return
             ready = wait([one.pipe for one in team])
             for one in [one for one in team if one.pipe in ready]:
-                job = one.given[0]
+                job = one.jobs[0]
                 try:
                     answer = one.answer()
                 except (EOFError, OSError):
@@ -51,9 +51,9 @@ def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generat
                     _refuse_deadly(deaths[id(job)])
                     team.remove(one)
                     one.end()
-                    left.put_back(one.given)
+                    left.put_back(one.jobs)
                     continue
-                if not one.give(left.take(_AHEAD - len(one.given))):
+                if not one.give(left.take(_AHEAD - len(one.jobs))):
                     team.remove(one)
                     one.end()
                 yield job, answer
@@ -70,7 +70,7 @@ def _refuse_deadly(deaths: int) -> None:
         )  # fmt: skip
 
 
-class _Left(Generic[J]):
+class _Remaining(Generic[J]):
     """Jobs that nobody has: those put back come first."""
 
     def __init__(self, jobs: Iterable[J]) -> None:
@@ -96,23 +96,23 @@ class _Process(Generic[J]):
         with _without_interrupts():
             self._process.start()
         theirs.close()
-        self.given: deque[J] = deque()
+        self.jobs: deque[J] = deque()
         self.give(first)
 
     def give(self, jobs: list[J]) -> bool:
         """Send further jobs; False where it has none then. One that died is found out when it is to answer."""
         for job in jobs:
-            self.given.append(job)
+            self.jobs.append(job)
             try:
                 self.pipe.send(job)
             except OSError:
                 break
-        return bool(self.given)
+        return bool(self.jobs)
 
     def answer(self) -> Any:
         """What came of the first of its jobs; raises what that raised, `EOFError` where it died."""
         failed, answer = self.pipe.recv()
-        self.given.popleft()
+        self.jobs.popleft()
         if failed:
             raise answer
         return answer

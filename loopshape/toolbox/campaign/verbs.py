@@ -120,19 +120,19 @@ def _record(out: Path, planned: _Planned, part: Part | None, by: tuple[int, str 
     write_index()
     wanted = part.recordings(planned.recordings) if part else range(planned.recordings)
     work = partial(_make, out.resolve(), planned.plant, planned.origin)
-    begun, made = set[str](), 0
+    started, made = set[str](), 0
     try:
         with (
             closing(_Naming(out, planned)) as naming,
             watch.progress("campaign", len(wanted)) as step,
-            closing(carried_out(work, _todo(out, planned, wanted, step, begun), *by)) as results,
+            closing(carried_out(work, _todo(out, planned, wanted, step, started), *by)) as results,
         ):
             for job, entry in results:
                 naming.add(job, entry)
                 made += 1
                 step(f"{job.machine} {job.planned.name}")
     finally:
-        for machine in begun:
+        for machine in started:
             sweep(out / machine)
     return made
 
@@ -169,7 +169,7 @@ class _Naming:
             adopt(self._out / machine, run, entries, self._planned.names)
 
 
-def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str]) -> Iterator[Job]:
+def _todo(out: Path, planned: _Planned, wanted: range, step: Any, started: set[str]) -> Iterator[Job]:
     """What is missing of the recordings with the numbers `wanted`; notes of which machines."""
     from loopshape.io.run.run_folder import finished, start_run
     from loopshape.toolbox.campaign.parallel import Job
@@ -190,7 +190,7 @@ def _todo(out: Path, planned: _Planned, wanted: range, step: Any, begun: set[str
             if one.name in have:
                 step(f"{machine.name} {one.name}")
             else:
-                begun.add(machine.name)
+                started.add(machine.name)
                 yield Job(machine.name, machine.study, one, machine.hidden)
 
 
@@ -246,14 +246,14 @@ def _joined(out: Path, planned: _Planned, lacking: Iterable[Machine]) -> int:
     for machine in lacking:
         run = _run(machine.study, machine.name, planned.plant, planned.origin)
         have = finished(out / machine.name)
-        entries = _gathered([folder / machine.name for folder in folders], out / machine.name, run, have)
+        entries = _collected([folder / machine.name for folder in folders], out / machine.name, run, have)
         adopt(out / machine.name, run, entries, planned.names)
         made += len(entries)
         _refuse_incomplete(machine.name, finished(out / machine.name), planned.names)
     return made
 
 
-def _gathered(sources: Iterable[Path], target: Path, run: Run, have: set[str]) -> list[Mapping[str, Any]]:
+def _collected(sources: Iterable[Path], target: Path, run: Run, have: set[str]) -> list[Mapping[str, Any]]:
     """Put the tables of a machine's parts into its run's folder, which does not list them yet; gives their words."""
     from loopshape.io.files import make_folder
     from loopshape.io.run.run_folder import entries_of, has_run

@@ -239,8 +239,8 @@ class Diagram:
     def in_circle(self, name: str, without: Iterable[str] = ()) -> set[str]:
         """Blocks on a circle through a block (that block too), with those of `without` taken out; none without one."""
         after = self.followers(without)
-        reach = {one: _reached(after, one) for one in after}
-        return {one for one in reach[name] if name in reach[one]}
+        reachable = {one: _reached(after, one) for one in after}
+        return {one for one in reachable[name] if name in reachable[one]}
 
     def equivalent(self) -> Equivalent:
         """What `ls.diagrams.equivalent` finds."""

@@ -48,8 +48,8 @@ def simulate(D: Diagram, models: Mapping[str, Any], signals: Mapping[str, ArrayL
     given = {name: real_array(value, f"signal {name}") for name, value in signals.items()}
     if len({one.shape for one in given.values()}) != 1 or next(iter(given.values())).ndim != 1:
         raise WrongUseError("signals of a diagram are (n,), all as long", f"{[x.shape for x in given.values()]}")
-    if strays := set(given) - set(D.signals):
-        raise WrongUseError("the diagram has no such signal", ", ".join(strays), f"it has {', '.join(D.signals)}")
+    if unknown := set(given) - set(D.signals):
+        raise WrongUseError("the diagram has no such signal", ", ".join(unknown), f"it has {', '.join(D.signals)}")
     for one in D.parts:
         if isinstance(one.what, Feedforward):
             given[one.outputs[0]] = given.get(one.outputs[0], 0.0) + one.what.signal(_ahead(D, one, given))

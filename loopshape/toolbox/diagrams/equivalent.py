@@ -56,7 +56,7 @@ def equivalent(D: Diagram) -> Equivalent:
     word = "; ".join(f"the inner loop {name} is closed, and certified stable" for name in closings.verdicts)
     plants = []
     for point in range(D.points):
-        made = _met(D, tuned, point, (D.tuned,))
+        made = _equivalent(D, tuned, point, (D.tuned,))
         notes = (*made.notes, word) if word else made.notes
         plants.append(replace(made, open_loop=left == 0, notes=notes))
     integrators = _integrators_left(D, plants, closings)
@@ -72,7 +72,7 @@ class _Closings:
     integrators: int = 0
 
 
-def _met(D: Diagram, part: Part, point: int, opened: Sequence[str]) -> FRF:
+def _equivalent(D: Diagram, part: Part, point: int, opened: Sequence[str]) -> FRF:
     """The plant that a block of one input and one output meets: from its output to minus its input."""
     made = transfer(D, part.outputs[0], part.inputs[0], opened=opened, point=point)
     sensed = [name for _, name in D.terms(part.inputs[0]) if name not in D.external]
@@ -117,14 +117,14 @@ def _closed_in(D: Diagram, order: Sequence[str]) -> tuple[_Closings | None, str]
         assert isinstance(C, Controller)
         here = frozenset(D.in_circle(name, (D.tuned, *order[k + 1 :])))
         poles = _poles(D, calmed, here)
-        plants = [replace(_met(D, part, point, opened), open_loop=poles == 0) for point in range(D.points)]
+        plants = [replace(_equivalent(D, part, point, opened), open_loop=poles == 0) for point in range(D.points)]
         asked = part.requirements or Requirements(name)
         asked = asked if asked.unstable_poles is not None else replace(asked, unstable_poles=poles)
         verdict, loops = check_loops(plants, C, asked)
         if verdict.unstable:
             at = verdict.unstable[0]
-            said = verdict.margins[at]
-            return None, f"inner loop {name} is {said.stable} at {at}: {said.stability_reason}"
+            inner = verdict.margins[at]
+            return None, f"inner loop {name} is {inner.stable} at {at}: {inner.stability_reason}"
         verdicts[name], calmed = verdict, calmed | here
         integrators += max(0, min((one.integrators or 0) for one in loops) + C.integrators())
     return _Closings(verdicts, calmed, integrators), ""

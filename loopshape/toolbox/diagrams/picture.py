@@ -174,10 +174,10 @@ def _node(ax: Axes, D: Diagram, name: str, at: tuple[float, float]) -> None:
 
 
 def _out(ax: Axes, D: Diagram, name: str, at: tuple[float, float]) -> None:
-    reach = ROUND if name in D.sums else WIDE
+    radius = ROUND if name in D.sums else WIDE
     label = name if name in D.sums else ", ".join(D.part(name).outputs)
-    ax.annotate("", (at[0] + reach + 0.7, at[1]), (at[0] + reach, at[1]), arrowprops=_ARROW)
-    ax.text(at[0] + reach + 0.35, at[1] + 0.1, label, ha="center", style="italic", fontsize=_TEXT - 1.0)
+    ax.annotate("", (at[0] + radius + 0.7, at[1]), (at[0] + radius, at[1]), arrowprops=_ARROW)
+    ax.text(at[0] + radius + 0.35, at[1] + 0.1, label, ha="center", style="italic", fontsize=_TEXT - 1.0)
 
 
 _ARROW = {

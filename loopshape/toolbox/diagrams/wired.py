@@ -36,9 +36,9 @@ class Wired:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "columns", dict(self.columns))
-        if strays := [name for name in self.columns if name not in self.diagram.signals]:
+        if unknown := [name for name in self.columns if name not in self.diagram.signals]:
             known = ", ".join(self.diagram.signals)
-            raise WrongUseError("the diagram has no such signal", ", ".join(strays), f"it has {known}")
+            raise WrongUseError("the diagram has no such signal", ", ".join(unknown), f"it has {known}")
 
     def __repr__(self) -> str:
         """One line: the diagram's name, and what its signals are."""

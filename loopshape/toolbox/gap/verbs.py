@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from loopshape.toolbox.gap.nouns.effect import Fix
     from loopshape.toolbox.gap.nouns.gap_report import GapReport, Visible
     from loopshape.toolbox.gap.nouns.machine import Model
-    from loopshape.toolbox.gap.nouns.plant import Followable
+    from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 
 def gap(
@@ -51,7 +51,7 @@ def gap(
 
     good = baseline if isinstance(baseline, Run) or baseline is None else read(baseline)
     with read_once() as files:
-        plant, whole, with_files = _followable(run, model)
+        plant, whole, with_files = _simulation_model(run, model)
     label = name or (Path(run).name if isinstance(run, str | Path) else "run")
     found = diagnose(plant, whole, label, baseline=good, table=table, say=say)
     if isinstance(plant, LinearMachine):
@@ -90,7 +90,7 @@ def identifiability(
     """
     from loopshape.toolbox.gap.diagnose import identifiability as found
 
-    plant, whole, _ = _followable(run, model)
+    plant, whole, _ = _simulation_model(run, model)
     return found.identifiability(plant, whole, say=say)
 
 
@@ -107,9 +107,9 @@ def _measured(run: Run | FRF | Sequence[FRF] | str | Path) -> Run | tuple[FRF, .
     return (run,) if isinstance(run, FRF) else tuple(run)
 
 
-def _followable(
+def _simulation_model(
     given: Run | FRF | Sequence[FRF] | str | Path, model: Model | str | Path | None
-) -> tuple[Followable, Run, Callable[[Fix], Fix]]:
+) -> tuple[SimulationModel, Run, Callable[[Fix], Fix]]:
     """The user's machine, or the plant that the run names; the run; and what puts a fix of it into files."""
     from loopshape.toolbox.gap.mechanism.fix import in_files
     from loopshape.toolbox.gap.mechanism.mechanism import machine
@@ -117,7 +117,7 @@ def _followable(
     from loopshape.toolbox.gap.nouns.machine import Mechanism, Unit
     from loopshape.toolbox.gap.own.file import read_model
     from loopshape.toolbox.gap.own.kinds import with_kinds
-    from loopshape.toolbox.gap.own.linear import followable
+    from loopshape.toolbox.gap.own.linear import simulable
     from loopshape.toolbox.gap.own.plant import OwnMachine
     from loopshape.toolbox.rig.registry import diagnosable
 
@@ -129,7 +129,7 @@ def _followable(
             own = machine_of(own)
         mechanism = own if isinstance(own, Mechanism) else None
         whole = with_kinds(machine(own) if isinstance(own, Mechanism) else own, kinds)
-        plant, run = (OwnMachine(whole), run) if isinstance(run, Run) else followable(whole, run)
+        plant, run = (OwnMachine(whole), run) if isinstance(run, Run) else simulable(whole, run)
         return plant, run, lambda fix: in_files(fix, whole, mechanism)
     if not isinstance(run, Run):
         raise WrongUseError(

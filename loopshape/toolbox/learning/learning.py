@@ -54,6 +54,6 @@ def learning(
     f, gain = lines.frequency_hz, own.response(lines.frequency_hz)
     Q, S = np.abs(zero_phase(smoothing, f, F.rate_hz)), 1.0 / (1.0 + gain * lines.siso)
     std: Array = np.sqrt(np.mean(np.abs(scatter.deviations) ** 2, axis=0))
-    reach = Q * std * np.abs(S**2 * (F.response(f) + gain)) * np.sqrt(-np.log(0.05))
+    half_width = Q * std * np.abs(S**2 * (F.response(f) + gain)) * np.sqrt(-np.log(0.05))
     factor = Q * np.abs(S * (1.0 - lines.siso * F.response(f)))
-    return Learning(F, smoothing, f, factor, np.maximum(factor - reach, 0.0), factor + reach)
+    return Learning(F, smoothing, f, factor, np.maximum(factor - half_width, 0.0), factor + half_width)

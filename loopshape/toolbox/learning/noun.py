@@ -70,8 +70,8 @@ def _ending(values: ArrayLike, many: int) -> Array:
     many = min(many, x.size // 4)
     fade = np.clip(np.arange(x.size) / many - 1.0, 0.0, 1.0)
     first, last = (0.5 - 0.5 * np.cos(np.pi * ramp) for ramp in (fade, fade[::-1]))
-    begun = x[: 2 * many].mean() + (x - x[: 2 * many].mean()) * first
-    return np.asarray(x[-2 * many :].mean() + (begun - x[-2 * many :].mean()) * last)
+    tapered = x[: 2 * many].mean() + (x - x[: 2 * many].mean()) * first
+    return np.asarray(x[-2 * many :].mean() + (tapered - x[-2 * many :].mean()) * last)
 
 
 def zero_phase(smoothing: Array, frequency_hz: Array, rate_hz: float) -> Array:

@@ -12,7 +12,7 @@ from loopshape.core.toolboxes import Command, Toolbox
 if TYPE_CHECKING:
     from loopshape.toolbox.limits.bound import Bound as Bound
     from loopshape.toolbox.limits.verbs import bound as bound
-    from loopshape.toolbox.limits.verbs import reach as reach
+    from loopshape.toolbox.limits.verbs import max_order_design as max_order_design
 
 TOOLBOX = Toolbox(
     "limits",
@@ -29,6 +29,6 @@ TOOLBOX = Toolbox(
     names={
         "Bound": "loopshape.toolbox.limits.bound",
         "bound": "loopshape.toolbox.limits.verbs",
-        "reach": "loopshape.toolbox.limits.verbs",
+        "max_order_design": "loopshape.toolbox.limits.verbs",
     },
 )

@@ -24,7 +24,7 @@ from loopshape.data.response.model import Fit
 from loopshape.loop.verdict import check, loops_of
 from loopshape.toolbox.limits.bound_certificate import CLEAR, Certificate, Poles, certificate
 from loopshape.toolbox.limits.bound_nodes import WITHIN, Nodes, counted, impossible, nodes, weights
-from loopshape.toolbox.limits.bound_reach import Reached, reach
+from loopshape.toolbox.limits.bound_reach import Reached, achieved
 from loopshape.toolbox.limits.bound_regions import Regions, regions
 
 #: dampings of the test functions' pairs: across all nodes, within the lines, and at the bandwidth tried
@@ -54,7 +54,7 @@ class Bound(Plain):
     """How far from the best possible a controller is.
 
     `alone` bounds a controller for each plant by itself, `together` one controller for all of them. `found_hz` is the
-    given controller's lowest bandwidth and `found` that at each recording. `counted` limits are kept by the bound,
+    given controller's lowest bandwidth, `bandwidths_hz` that at each recording. `counted` limits are kept by the bound,
     `left_out` ones are not convex and would only lower it. `reached` is how far a controller of many parameters gets
     on the plant whose bound alone is least: the best possible there lies between. `outcome` is that of the
     controller's own check: "passed", "failed" or "undecided"; `answer` is what was found of the limits. `impossible`
@@ -68,7 +68,7 @@ class Bound(Plain):
 
     loop: str
     found_hz: float
-    found: Mapping[str, float]
+    bandwidths_hz: Mapping[str, float]
     alone: tuple[Excluded, ...]
     together: Excluded
     reached: Reached
@@ -94,7 +94,7 @@ class Bound(Plain):
     def by_point(self) -> list[dict[str, Any]]:
         """Bound and bandwidth found at each operating point alone."""
         return [
-            {"recording": x.recording, "bound_hz": x.bound_hz, "bandwidth_hz": self.found[x.recording]}
+            {"recording": x.recording, "bound_hz": x.bound_hz, "bandwidth_hz": self.bandwidths_hz[x.recording]}
             for x in self.alone
         ]
 
@@ -151,10 +151,10 @@ def bound(
     return Bound(
         loop=requirements.loop,
         found_hz=min(found.values()),
-        found=found,
+        bandwidths_hz=found,
         alone=tuple(alone),
         together=together,
-        reached=reach(loops[least], requirements, alone[least].bound_hz),
+        reached=achieved(loops[least], requirements, alone[least].bound_hz),
         counted=asked,
         left_out=left_out,
         outcome=verdict.outcome,
@@ -255,7 +255,7 @@ def _integral(proof: Certificate, at: Nodes, allowed: Regions, bandwidth_hz: flo
     below = allowed.at(np.arange(k + 1)).support(h[: k + 1], crossing=True)
     above = allowed.at(np.arange(k, at.f.size)).support(h[k + 1 :], crossing=False)
     support, (_, dw) = np.concatenate([below, above]), weights(s)
-    size = np.abs(h) * np.repeat(np.abs(allowed.centre) + allowed.reach, np.where(at.f == at.f[k], 2, 1))
+    size = np.abs(h) * np.repeat(np.abs(allowed.centre) + allowed.extent, np.where(at.f == at.f[k], 2, 1))
     return -INF if np.isnan(support).any() else float(dw @ support / (dw @ size))
 
 

@@ -26,7 +26,7 @@ from loopshape.design.tune import Tuning, tune
 from loopshape.loop.verdict import loops_of
 from loopshape.toolbox.limits.bound import excluded
 from loopshape.toolbox.limits.bound_nodes import counted
-from loopshape.toolbox.limits.bound_reach import Reached, reach, reached_at
+from loopshape.toolbox.limits.bound_reach import Reached, achieved, reached_at
 
 #: places across the band and dampings at which a new block is tried, steps of each trial and of the last fit
 PLACES, DAMPINGS, TRIAL, LAST = 10, (0.1, 0.6), 25, 300
@@ -54,7 +54,7 @@ def reach_order(
     The requirements' structure counts for nothing: that of the answer is a gain, biquads ("notch") and lead-lags.
     Designs at shares of the bandwidth reached are fitted and tuned, with all poles, and with two less and one block
     grown, and from random starts where none of them meets the limits; what passes the check comes first, then the
-    larger objective. See `loopshape.reach`.
+    larger objective. See `loopshape.achieved`.
     """
     if order < 1:
         raise WrongUseError("a controller to be found has at least one pole", f"order {order}", "ask for 4 or more")
@@ -79,7 +79,7 @@ def reach_order(
 
 def _designs(loop: Loop, limits: Requirements, bound_hz: float) -> list[Reached]:
     """Convex designs with margins at shares of the largest bandwidth that one reaches."""
-    most = reach(loop, limits, bound_hz, margins=True).bandwidth_hz
+    most = achieved(loop, limits, bound_hz, margins=True).bandwidth_hz
     found = [reached_at(loop, limits, share * most, margins=True) for share in SHARES if most]
     return [one for one in found if one is not None]
 

@@ -49,7 +49,7 @@ class Reached(Plain):
     C: ComplexArray
 
 
-def reach(
+def achieved(
     loop: Loop, limits: Requirements, bound_hz: float, density: int = 8, steps: int = 8, *, margins: bool = False
 ) -> Reached:
     """The largest bandwidth, by `steps` bisections below `bound_hz`, that a Q of `density` poles a decade reaches.

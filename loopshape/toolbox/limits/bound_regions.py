@@ -33,12 +33,12 @@ _UNITY = 1e-5
 class Regions:
     """What Q may be at each of n nodes: forms (n, m, 4) of all limits, the last that of |L| >= 1, and a disk about all.
 
-    All that the forms leave lies within `reach` (n,) of `centre` (n,).
+    All that the forms leave lies within `extent` (n,) of `centre` (n,).
     """
 
     forms: Array
     centre: ComplexArray
-    reach: Array
+    extent: Array
 
     def asked(self, crossing: bool) -> Array:
         """The forms with or without |L| >= 1."""
@@ -48,25 +48,25 @@ class Regions:
         """Vertices (n, SIDES) of polygons near the regions' convex hulls, as large on the average; nan where empty."""
         forms = self.asked(crossing)
         support = _in_batches(
-            forms, _felt(forms, self.centre, self.reach), self.centre, self.reach, DIRECTIONS.reshape(1, -1)
+            forms, _felt(forms, self.centre, self.extent), self.centre, self.extent, DIRECTIONS.reshape(1, -1)
         )
         turn = TWO_PI / SIDES
         about = DIRECTIONS * (support + 1j * (np.roll(support, -1, axis=1) - support * np.cos(turn)) / np.sin(turn))
         amid = about.mean(axis=1)[:, None]
         vertices = amid + (about - amid) * 0.5 * turn / np.tan(0.5 * turn)
-        return np.asarray(self.centre[:, None] + self.reach[:, None] * vertices)
+        return np.asarray(self.centre[:, None] + self.extent[:, None] * vertices)
 
     def support(self, h: ComplexArray, *, crossing: bool) -> Array:
         """Largest Re(h Q) (n,) over the regions for h (n,), to rounding; nan where a region is empty."""
         forms = self.asked(crossing)
         along = np.asarray(np.conj(h) / np.maximum(np.abs(h), 1e-300), dtype=complex)
-        felt = _felt(forms, self.centre, self.reach)
-        found = _in_batches(forms, felt, self.centre, self.reach, along[:, None])[:, 0]
-        return np.asarray(np.real(h * self.centre) + np.abs(h) * self.reach * found)
+        felt = _felt(forms, self.centre, self.extent)
+        found = _in_batches(forms, felt, self.centre, self.extent, along[:, None])[:, 0]
+        return np.asarray(np.real(h * self.centre) + np.abs(h) * self.extent * found)
 
     def at(self, rows: np.ndarray) -> Regions:
         """The regions of some nodes."""
-        return Regions(self.forms[rows], self.centre[rows], self.reach[rows])
+        return Regions(self.forms[rows], self.centre[rows], self.extent[rows])
 
 
 def regions(at: Nodes, limits: Requirements, loops: Sequence[Loop]) -> Regions | None:
@@ -78,8 +78,8 @@ def regions(at: Nodes, limits: Requirements, loops: Sequence[Loop]) -> Regions |
     circles = _circles(mine)
     least = np.argmin(circles[1], axis=1)
     rows = np.arange(at.f.size)
-    centre, reach = circles[0][rows, least], circles[1][rows, least]
-    if not np.isfinite(reach).all():
+    centre, extent = circles[0][rows, least], circles[1][rows, least]
+    if not np.isfinite(extent).all():
         return None
     forms = [mine]
     for one, here in zip(P, band, strict=True):
@@ -88,7 +88,7 @@ def regions(at: Nodes, limits: Requirements, loops: Sequence[Loop]) -> Regions |
             forms.append(np.stack(_limits(S, CS, N, ceilings(limits, at.f, one), here), axis=1))
     size = np.where(band, np.abs(P), np.inf).min(axis=0)
     unity = _form(S, (1.0 + _UNITY) * size, CS, np.asarray(band.any(axis=0)))
-    return Regions(np.concatenate([*forms, unity[:, None]], axis=1), centre, reach)
+    return Regions(np.concatenate([*forms, unity[:, None]], axis=1), centre, extent)
 
 
 def own_ceilings(at: Nodes, limits: Requirements) -> Ceilings:
@@ -136,9 +136,9 @@ def _circles(forms: Array) -> tuple[ComplexArray, Array]:
     return np.asarray(centre), np.where(disk, np.sqrt(np.maximum(square, 0.0)), np.inf)
 
 
-def _felt(forms: Array, centre: ComplexArray, reach: Array) -> np.ndarray:
+def _felt(forms: Array, centre: ComplexArray, extent: Array) -> np.ndarray:
     """Forms (n, m) that cut into the disk that everything lies in, and are not implied by another of their kind."""
-    disk, middle, radius = _borders(forms, centre, reach)
+    disk, middle, radius = _borders(forms, centre, extent)
     size = np.abs(middle)
     cuts = np.where(disk, size + 1.0 > radius * (1.0 - 1e-9), size < radius + 1.0) & (forms != _HOLDS).any(axis=2)
     apart = np.abs(middle[:, :, None] - middle[:, None])
@@ -149,10 +149,10 @@ def _felt(forms: Array, centre: ComplexArray, reach: Array) -> np.ndarray:
     return np.asarray(cuts & ~(implied & alike).any(axis=1))
 
 
-def _borders(forms: Array, centre: ComplexArray, reach: Array) -> tuple[np.ndarray, ComplexArray, Array]:
+def _borders(forms: Array, centre: ComplexArray, extent: Array) -> tuple[np.ndarray, ComplexArray, Array]:
     """Which forms (n, m, 4) are disks, and the circles that bound them, in units of the reach about the centre."""
     alpha, beta, gamma = forms[..., 0], forms[..., 1] + 1j * forms[..., 2], forms[..., 3]
-    c, r = centre[:, None], reach[:, None]
+    c, r = centre[:, None], extent[:, None]
     gamma = (alpha * np.abs(c) ** 2 + 2.0 * np.real(np.conj(beta) * c) + gamma) / r**2
     beta = (beta + alpha * c) / r
     curved = np.maximum(np.abs(beta), np.abs(gamma)) * _STRAIGHT
@@ -161,7 +161,7 @@ def _borders(forms: Array, centre: ComplexArray, reach: Array) -> tuple[np.ndarr
     return alpha > 0.0, middle, np.sqrt(np.maximum(np.abs(middle) ** 2 - gamma / alpha, 0.0))
 
 
-def _in_batches(forms: Array, felt: np.ndarray, centre: ComplexArray, reach: Array, directions: ComplexArray) -> Array:
+def _in_batches(forms: Array, felt: np.ndarray, centre: ComplexArray, extent: Array, directions: ComplexArray) -> Array:
     """Support (n, d) of what the felt forms leave, in batches of nodes with as many of them."""
     directions = np.broadcast_to(directions, (centre.size, directions.shape[1]))
     found = np.empty(directions.shape)
@@ -170,16 +170,16 @@ def _in_batches(forms: Array, felt: np.ndarray, centre: ComplexArray, reach: Arr
         every = np.flatnonzero(counts == count)
         for rows in np.array_split(every, max(1, every.size * int(count) ** 2 // 20_000)):
             chosen = forms[rows][felt[rows]].reshape(rows.size, count, 4)
-            found[rows] = _support(chosen, centre[rows], reach[rows], directions[rows])
+            found[rows] = _support(chosen, centre[rows], extent[rows], directions[rows])
     return found
 
 
-def _support(forms: Array, centre: ComplexArray, reach: Array, directions: ComplexArray) -> Array:
+def _support(forms: Array, centre: ComplexArray, extent: Array, directions: ComplexArray) -> Array:
     """Support (n, d) of what all forms (n, m, 4) leave in directions (n, d), in units of the reach about the centre.
 
     It is reached at an extreme point of one disk or where two borders meet; nan where nothing is left.
     """
-    disk, middle, radius = _borders(forms, centre, reach)
+    disk, middle, radius = _borders(forms, centre, extent)
     extremes = np.where(disk[..., None], middle[..., None] + radius[..., None] * directions[:, None], np.nan)
     points = np.concatenate([extremes.reshape(centre.size, -1), _meetings(middle, radius)], axis=1)
     beyond = np.abs(points[:, :, None] - middle[:, None]) - radius[:, None]

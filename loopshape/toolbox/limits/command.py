@@ -50,7 +50,7 @@ def bound_run(run: Path, controller: Path, require: Path, output: Output) -> lis
 def _report(one: Bound, output: Output) -> None:
     rows = []
     for alone in one.alone:
-        found, some = one.found[alone.recording], alone.bound_hz < float("inf")
+        found, some = one.bandwidths_hz[alone.recording], alone.bound_hz < float("inf")
         rows.append([alone.recording, found, *((alone.bound_hz, found / alone.bound_hz) if some else (None, None))])
     columns = ["recording", "bandwidth [Hz]", "no controller for it alone exceeds [Hz]", "ratio"]
     output.table(f"Loop {one.loop}: bandwidth and bound at each operating point", columns, rows)
@@ -67,21 +67,21 @@ def _report(one: Bound, output: Output) -> None:
 def sentences(one: Bound) -> list[str]:
     """What a bound says, in words."""
     least, together = one.least_alone, one.together
-    said = []
+    notes = []
     if one.impossible:
         return [f"loop {one.loop}: {one.answer}"]
     if together.bound_hz == float("inf"):
         return [f"loop {one.loop}: these limits exclude no bandwidth within the measured frequencies"]
     if len(one.alone) > 1:
-        said.append(
+        notes.append(
             f"no single controller for all {len(one.alone)} operating points exceeds {one.bound_hz:.3g} Hz;"
             f" this one has {one.found_hz:.3g} Hz, ratio {one.ratio:.2f}"
         )
-    said.append(
+    notes.append(
         f"at {least.recording} alone none exceeds {least.bound_hz:.3g} Hz; one of {one.reached.parameters}"
         f" parameters reaches {one.reached.bandwidth_hz:.3g} Hz there"
     )
-    said.append(f"kept by the bound: {', '.join(one.counted) or 'nothing'}")
+    notes.append(f"kept by the bound: {', '.join(one.counted) or 'nothing'}")
     if one.left_out:
-        said.append(f"left out (they only lower what is possible): {', '.join(one.left_out)}")
-    return said
+        notes.append(f"left out (they only lower what is possible): {', '.join(one.left_out)}")
+    return notes

@@ -11,7 +11,7 @@ from loopshape.data.control.shorthand import bounded
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.model import Fit
 from loopshape.design.tune import Tuning
-from loopshape.verbs.arguments import Plants, controller_of, met
+from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants
 
 if TYPE_CHECKING:
     from loopshape.toolbox.limits.bound import Bound
@@ -25,11 +25,11 @@ def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[
     """
     from loopshape.toolbox.limits.bound import bound as bound_loop
 
-    plants, asked = met(P, R)
+    plants, asked = equivalent_plants(P, R)
     return bound_loop(plants, controller_of(C), asked, tuple(fits))
 
 
-def reach(
+def max_order_design(
     P: Plants, C: Controller | Tuning, R: Requirements, order: int, *, fits: Sequence[Fit] = (), seed: int = 0
 ) -> Tuning:
     """A controller of at most `order` poles near the best that `bound` finds possible, under all of `R`.
@@ -47,13 +47,13 @@ def reach(
     >>> f_hz = np.geomspace(1.0, 400.0, 40)
     >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
     >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, integrators=1)
-    >>> found = ls.limits.reach(P, ls.controller(ls.gain(0.5), rate_hz=5000.0), R, order=1)
+    >>> found = ls.limits.max_order_design(P, ls.controller(ls.gain(0.5), rate_hz=5000.0), R, order=1)
     >>> found.controller.order()
     1
     """
     from loopshape.toolbox.limits.bound_order import reach_order
 
-    plants, asked = met(P, R)
+    plants, asked = equivalent_plants(P, R)
     return reach_order(plants, controller_of(C), asked, order, tuple(fits), seed=seed)
 
 
@@ -78,6 +78,6 @@ def schedule(
     """
     from loopshape.toolbox.schedules.schedule import schedule as schedule_loop
 
-    plants, R = met(P, R)
+    plants, R = equivalent_plants(P, R)
     asked = replace(R, structure=bounded(R.structure, plants))
     return schedule_loop(plants, asked, controller_of(C), tuple(fits), seed=seed, starts=starts)

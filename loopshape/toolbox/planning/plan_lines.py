@@ -100,8 +100,8 @@ def chosen_lines(
     wanted = np.minimum(f * (2.0 ** (1.0 / per_octave) - 1.0), np.interp(f, *spacing_hz))
     kept = [0]
     while kept[-1] < f.size - 1:
-        reach = int(np.searchsorted(f, f[kept[-1]] + wanted[kept[-1]] * (1.0 + 1e-9), side="right")) - 1
-        kept.append(max(reach, kept[-1] + 1))
+        farthest = int(np.searchsorted(f, f[kept[-1]] + wanted[kept[-1]] * (1.0 + 1e-9), side="right")) - 1
+        kept.append(max(farthest, kept[-1] + 1))
     return f[kept]
 
 
@@ -119,5 +119,5 @@ def levels_of(need: Array, crossover: int, ratio: float) -> Array:
 
     `need` (n,) is the power that a line needs for some accuracy. The largest is at most `ratio` times the least.
     """
-    reach = np.sqrt(ratio)
-    return np.asarray(np.clip(np.sqrt(need / need[crossover]), 1.0 / reach, reach))
+    farthest = np.sqrt(ratio)
+    return np.asarray(np.clip(np.sqrt(need / need[crossover]), 1.0 / farthest, farthest))

@@ -52,8 +52,8 @@ class Required:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0.0):
                 raise WrongUseError(f"{name.replace('_', ' ')} of a plan must be positive", f"{value!r}")
-        told = {"resolution_hz": self.resolution_hz, "seconds": self.seconds}
-        given = [name for name, value in told.items() if value is not None]
+        stated = {"resolution_hz": self.resolution_hz, "seconds": self.seconds}
+        given = [name for name, value in stated.items() if value is not None]
         if len(given) != (2 if self.std is None else 0):
             raise WrongUseError(
                 "a plan needs a wanted accuracy, or a resolution and a time instead",
@@ -83,11 +83,11 @@ class Plan(Plain):
 
     FORMAT: ClassVar[str] = "loopshape-plan/1"
     IN_JSON = {"format": "FORMAT"} | keys(
-        "loop", "recording", "injection", "met", "reached", "crossover_hz", "short_by", "needed_s", "needed_amplitude",
-        "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz", "line_amplitude", "std",
-        "notes", "sentence", period_s="excitation.period_s", periods="excitation.periods", ramp_s="excitation.ramp_s",
-        amplitude="excitation.amplitude", wished_std="required.std", std_at_crossover="at_crossover",
-        std_before="before", std_known_to="sure", distortion_std="floor",
+        "loop", "recording", "injection", "satisfied", "reached", "crossover_hz", "short_by", "needed_s",
+        "needed_amplitude", "binds", "realisations", "duration_s", "peak_input", "peak_output", "lines_hz",
+        "line_amplitude", "std", "notes", "sentence", period_s="excitation.period_s", periods="excitation.periods",
+        ramp_s="excitation.ramp_s", amplitude="excitation.amplitude", required_std="required.std",
+        std_at_crossover="at_crossover", std_before="before", std_known_to="sure", distortion_std="floor",
     )  # fmt: skip
 
     loop: str
@@ -124,7 +124,7 @@ class Plan(Plain):
         return self.realisations * self.excitation.duration_s
 
     @property
-    def met(self) -> bool:
+    def satisfied(self) -> bool:
         """Whether the first record already has what is wanted, so that nothing is to be measured."""
         return self.required.std is not None and self.before <= self.required.std
 

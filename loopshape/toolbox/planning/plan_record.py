@@ -30,7 +30,7 @@ from loopshape.identify.spectra.transforms import transform
 #: sqrt(E|d|²)/|H| below which a response to the instrument is one
 KNOWN = 0.3
 #: noise is averaged over a third of an octave to both sides
-REACH = 2.0 ** (1.0 / 3.0)
+BAND_FACTOR = 2.0 ** (1.0 / 3.0)
 #: lines at which local fits look for the noise, at most
 MOST_LINES = 4000
 #: lines to each side, order and poles of the fits that leave the noise over
@@ -185,8 +185,8 @@ def smoothed_over_octaves(f: Array, power: Array, averages: float, at_hz: Array)
     `averages` is of one Hz of band. Five lines at least count; noise on one line alone is smeared over its neighbours.
     """
     middle = np.searchsorted(f, at_hz)
-    low = np.clip(np.minimum(np.searchsorted(f, at_hz / REACH), middle - 2), 0, f.size - 1)
-    high = np.clip(np.maximum(np.searchsorted(f, at_hz * REACH), middle + 3), low + 1, f.size)
+    low = np.clip(np.minimum(np.searchsorted(f, at_hz / BAND_FACTOR), middle - 2), 0, f.size - 1)
+    high = np.clip(np.maximum(np.searchsorted(f, at_hz * BAND_FACTOR), middle + 3), low + 1, f.size)
     total = np.concatenate([[0.0], np.cumsum(power)])
     step = float(np.median(np.diff(f))) if f.size > 1 else 1.0
     count = np.maximum(averages * (high - low) * step, 1.0)

@@ -37,7 +37,7 @@ def sentence(p: Plan) -> str:
         f" {p.unit}"
     )
     there = f"at {p.crossover_hz:.3g} Hz"
-    if p.met and p.required.std is not None:
+    if p.satisfied and p.required.std is not None:
         return (
             f"{p.recording} already has a std of {accuracy(p.before)} {there}, within the required"
             f" {accuracy(p.required.std)}: no further experiment is proposed"
@@ -61,7 +61,7 @@ def cannot_know(first: FirstRecord, required: Required, floor: float, amplitude:
             "the first record does not repeat: distortion counts as noise in it, and in the plan as if it averaged out,"
             " which it does not"
         )
-    elif not found.told:
+    elif not found.decidable:
         notes.append(f"the first record cannot separate distortion from the response: {found.verdict}")
     elif floor > 0.0:
         notes.append(f"distortion in the first record counts as a noise floor, {accuracy(floor)} at the crossover")

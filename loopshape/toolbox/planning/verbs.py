@@ -39,7 +39,7 @@ def plan(
     knows. The crossover is that of the run's own controller, of the loop's among `controllers`, or `at_hz`. `limits`
     are max_amplitude, max_input, max_output (stored units), longest_s, f_low_hz, f_high_hz, kind ("odd", "log", "all").
     Without `std` the experiment is told: `resolution_hz`, `seconds` and the band, as an undecided verdict orders them.
-    `reached` tells whether they allow it, `met` that the recording has that accuracy already; `ls.planning.write_plan`
+    `reached` tells whether they allow it, `satisfied` that the recording has it already; `ls.planning.write_plan`
     writes the study. Raises WrongUseError for a recording that excites no loop and for limits that noise alone breaks.
 
     Examples
@@ -51,7 +51,7 @@ def plan(
     ...     y[k] = 0.99 * y[k - 1] + 0.02 * (n[k - 1] - y[k - 1])
     >>> run = ls.Run.from_arrays(u=n - y, y=y + 0.001 * v, excitation=n, rate_hz=1000.0)
     >>> found = ls.planning.plan(run, std=0.01, at_hz=5.0)
-    >>> bool(found.reached or found.met)
+    >>> bool(found.reached or found.satisfied)
     True
     """
     refuse_unknown_keys("a plan has no such limit", limits, [f.name for f in fields(Required) if f.name != "std"])

@@ -137,8 +137,8 @@ def program(number_bytes: int = 8, plant: str | None = None) -> Path:
 
 
 def _version(command: str) -> str:
-    said = subprocess.run([command, "--version"], capture_output=True, text=True, check=False)
-    return said.stdout
+    output = subprocess.run([command, "--version"], capture_output=True, text=True, check=False)
+    return output.stdout
 
 
 def _compile(command: list[str], code: dict[str, bytes], path: Path) -> None:
@@ -147,11 +147,11 @@ def _compile(command: list[str], code: dict[str, bytes], path: Path) -> None:
         for name, text in code.items():
             (Path(folder) / name).write_bytes(text)
         units = [name for name in code if name.endswith(".c")]
-        said = subprocess.run(
+        output = subprocess.run(
             [*command, "-I.", *units, "-o", "made", "-lm"], cwd=folder, capture_output=True, text=True, check=False
         )
-        if said.returncode:
-            raise NoCompilerError("the emulator does not compile", said.stderr[-800:].strip(), "report it, please")
+        if output.returncode:
+            raise NoCompilerError("the emulator does not compile", output.stderr[-800:].strip(), "report it, please")
         os.replace(Path(folder) / "made", path)  # whole or not at all
 
 
@@ -178,8 +178,8 @@ def start(emulator: Emulator) -> tuple[subprocess.Popen[str], str]:
 def stop(process: subprocess.Popen[str]) -> str:
     """End it, and give what it said on its standard error."""
     process.terminate()
-    _, said = process.communicate(timeout=STOP_S)
-    return said.strip()
+    _, output = process.communicate(timeout=STOP_S)
+    return output.strip()
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from loopshape.core.errors import WrongUseError, meant
 from loopshape.core.toolboxes import found, function_at
 
 if TYPE_CHECKING:
-    from loopshape.toolbox.gap.nouns.plant import Followable
+    from loopshape.toolbox.gap.nouns.plant import SimulationModel
     from loopshape.toolbox.rig.simulated import Rig
 
 
@@ -17,12 +17,12 @@ def plant(name: str) -> Rig:
     return cast("Rig", declared("plants", name, "a plant is not known")())
 
 
-def diagnosable(name: str) -> Followable:
+def diagnosable(name: str) -> SimulationModel:
     """A plant whose gap can be diagnosed, by name; refuses an unknown one."""
     rig: Any = plant(name)
     if not hasattr(rig, "effects"):
         raise WrongUseError("this plant has no catalogue of effects", f"{name!r}", "compare two runs instead")
-    return cast("Followable", rig)
+    return cast("SimulationModel", rig)
 
 
 def declared(what: str, name: str, problem: str) -> Any:

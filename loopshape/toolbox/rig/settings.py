@@ -30,13 +30,13 @@ class Limit:
                 f"{self.low:g}, {self.high:g} and {self.rate:g}",
             )
 
-    def said(self, value: float) -> str:
+    def spoken_value(self, value: float) -> str:
         """A value of this column as people say it: angles in degrees."""
         return spoken(value, Channel.from_column(self.column).unit)
 
     def __str__(self) -> str:
-        low, high = self.said(self.low).split(" ", 1)[0], self.said(self.high)
-        rate = "" if self.rate == inf else f", at most {self.said(self.rate)}/s"
+        low, high = self.spoken_value(self.low).split(" ", 1)[0], self.spoken_value(self.high)
+        rate = "" if self.rate == inf else f", at most {self.spoken_value(self.rate)}/s"
         return f"{low} to {high}{rate}"
 
 

@@ -183,7 +183,7 @@ def experiment(study: Study, plant: Rig, planned: Planned) -> Experiment:
         period_s=period_s,
         periodic_from_s=periodic_from_s,
         seed=planned.seed,
-        **template.told(),
+        **template.settings(),
         pwm=dict(study.pwm),
         excites_also=tuple(template.excites_also),
     )

@@ -22,7 +22,7 @@ typedef struct {{
     double at[{v}];       /* where the coefficients stand, behind the lag */
     double c[{n}][5];     /* b0, b1, b2, a1, a2 of now */
     double past[{n1}][2]; /* the last two signals in front of and behind each section */
-    int begun;
+    int started;
 }} {name}_state;
 
 /* To rest. */
@@ -33,7 +33,7 @@ static inline void {name}_reset({name}_state *state)
         state->past[k][0] = 0.0;
         state->past[k][1] = 0.0;
     }}
-    state->begun = 0;
+    state->started = 0;
 }}
 
 /* The coefficients at state->at. */
@@ -88,13 +88,13 @@ static inline void {name}_interpolate({name}_state *state)
 /* One sample: the error and the scheduling variables in, the control out. */
 static inline double {name}_step({name}_state *state, double value, const double *variables)
 {{
-    int v, k, moved = !state->begun;
+    int v, k, moved = !state->started;
     for (v = 0; v < {v}; v++) {{
-        const double step = state->begun ? variables[v] - state->at[v] : 0.0;
-        state->at[v] = state->begun ? state->at[v] + {UPPER}_SHARE * step : variables[v];
+        const double step = state->started ? variables[v] - state->at[v] : 0.0;
+        state->at[v] = state->started ? state->at[v] + {UPPER}_SHARE * step : variables[v];
         moved = moved || step != 0.0;
     }}
-    state->begun = 1;
+    state->started = 1;
     if (moved) {{
         {name}_interpolate(state);
     }}
@@ -134,13 +134,13 @@ def schedule_c(one: GainScheduled) -> str:
     """The header of a schedule: tables, a state, a reset and a step function."""
     name, n = identifier(one.loop), one.coefficients.shape[1]
     names = ", ".join(comment(v.name) for v in one.variables)
-    said = [
+    notes = [
         f"Loop {comment(one.loop)} at {float(one.rate_hz)!r} Hz, a schedule; made by loopshape {__version__}.",
         f"{FORM}; the variables act behind a lag of {one.lag_s!r} s.",
         f"Variables, in this order: {names}; outside the knots the edge holds.",
         "No allocation, no library. The output has no limit and there is no anti-windup: both belong to the caller.",
     ]
-    head = "\n".join(f" * {line}" for line in said)
+    head = "\n".join(f" * {line}" for line in notes)
     words = {"name": name, "UPPER": name.upper(), "n": n, "n1": n + 1, "v": len(one.variables)}
     return (
         f"/*\n{head}\n */\n#ifndef {name.upper()}_H\n#define {name.upper()}_H\n\n"

@@ -31,9 +31,9 @@ def costs(found: Schedule, *, ax: Axes | None = None) -> Axes:
     x = np.arange(len(points), dtype=float)
     own, robust, bound = (np.array([getattr(p, name) for p in points]) for name in ("own_hz", "robust_hz", "bound_hz"))
     ax.vlines(x, robust, own, color=QUIET, linewidth=0.9)
-    met = np.array([p.feasible for p in points])
+    feasible = np.array([p.feasible for p in points])
     ax.plot(x, own, "o", color=COLOURS[0], markerfacecolor="white", gid="own")
-    ax.plot(x[met], own[met], "o", color=COLOURS[0], label="own controller")
+    ax.plot(x[feasible], own[feasible], "o", color=COLOURS[0], label="own controller")
     ax.plot(x, robust, "s", color=COLOURS[1], label="robust controller", gid="robust")
     if np.isfinite(bound).any():
         look = {"color": LIMIT, "markersize": 9.0, "markeredgewidth": 1.2, "linestyle": "none"}

@@ -33,7 +33,7 @@ ENOUGH, PIECE_S = 4, 3.0  # recordings to leave one out of; length of a piece of
 
 
 class ServoAxis:
-    """One mass with viscous friction and perhaps a spring (`Plant`, `Followable`); one loop, position.
+    """One mass with viscous friction and perhaps a spring (`Plant`, `SimulationModel`); one loop, position.
 
     `of_run` gives the axis that a run describes; without it the numbers are those of no axis in particular.
     """
@@ -70,11 +70,11 @@ class ServoAxis:
         and viscous friction come from the estimation recordings by least squares and get a wide spread. Refuses
         a run without estimation recordings.
         """
-        known = nominal.given(dict(run.extra.get("parameters", {})))
+        known = nominal.stated(dict(run.extra.get("parameters", {})))
         recordings = [r for r in run.recordings if r.info.role == "estimation"]
         if not recordings:
             raise WrongUseError("the run has no estimation recording", "validation alone", "add one to be fitted to")
-        ready = [following.followed(r, _loop(run)) for r in recordings]
+        ready = [following.simulated_along(r, _loop(run)) for r in recordings]
         first = nominal.estimated(ready, known)
         quiet = [following.quieter(f, with_nominal(first).vector()) for f in ready]
         found = nominal.estimated(quiet, known)
@@ -127,10 +127,10 @@ class ServoAxis:
         """Refuse a point with other keys than position_m, or outside the travel."""
         if set(operating_point) != {"position_m"}:
             raise WrongUseError("an operating point of the servo axis names position_m", f"{dict(operating_point)!r}")
-        reach = self._value(self.parameters.vector(changes), "range_m")
-        if not abs(operating_point["position_m"]) < reach:
+        range_m = self._value(self.parameters.vector(changes), "range_m")
+        if not abs(operating_point["position_m"]) < range_m:
             raise WrongUseError(
-                f"the servo axis travels {reach:g} m to both sides", f"{operating_point['position_m']:g} m"
+                f"the servo axis travels {range_m:g} m to both sides", f"{operating_point['position_m']:g} m"
             )
 
     def check_settings(self, rate_hz: float, changes: Mapping[str, float]) -> None:
@@ -176,7 +176,7 @@ class ServoAxis:
 
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> following.Followed:
         """The recording's force and position, and the run's low-pass (of a bare axis: one that the noise allows)."""
-        f = following.followed(recording, _loop(run), longest_s)
+        f = following.simulated_along(recording, _loop(run), longest_s)
         return following.quieter(f, self.parameters.vector()) if self._pass_hz is None else f.behind(self._pass_hz)
 
     def stays_in_range(self, recording: Recording, run: Run) -> bool:

@@ -81,9 +81,9 @@ def _frictions(s: Scales) -> tuple[EffectForm, ...]:
 
 def _forces(s: Scales) -> tuple[EffectForm, ...]:
     offset = _free("force_offset_n", -s.peak_n, s.peak_n, -0.1 * s.force_n, 0.1 * s.force_n)
-    reach = max(abs(s.low_m), abs(s.high_m))
+    travel_m = max(abs(s.low_m), abs(s.high_m))
     centre = _free("cubic_centre_m", s.low_m, s.high_m, *(s.low_m + share * s.travel_m for share in (0.3, 0.7)))
-    about_zero = s.force_n / reach**3
+    about_zero = s.force_n / travel_m**3
     about_middle = s.force_n / (0.5 * s.travel_m) ** 3
     limit = _free("force_limit_n", 0.01 * s.peak_n, 1.05 * s.peak_n, *(0.9 * 0.65**k * s.peak_n for k in range(9)))
     soft = _free("force_limit_n", 0.01 * s.peak_n, 10.0 * s.peak_n, *(3.0 * 0.5**k * s.peak_n for k in range(8)))

@@ -64,7 +64,7 @@ class Followed:
         return np.asarray(butter(4, self.pass_hz, fs=self.rate_hz, output="sos"))
 
 
-def followed(recording: Recording, loop: LoopSetup | None = None, longest_s: float | None = None) -> Followed:
+def simulated_along(recording: Recording, loop: LoopSetup | None = None, longest_s: float | None = None) -> Followed:
     """A recording, or its first `longest_s` after the lead; refuses one without force, position or length.
 
     What was injected at the plant's input (`loop` names its column) belongs to the force.

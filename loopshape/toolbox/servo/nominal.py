@@ -41,7 +41,7 @@ class Scales:
         return self.high_m - self.low_m
 
 
-def given(parameters: Mapping[str, object]) -> dict[str, float]:
+def stated(parameters: Mapping[str, object]) -> dict[str, float]:
     """The nominal parameters that a run states; others, such as a simulation's effects, are left aside.
 
     Refuses what is no positive number; viscous friction and the spring may be zero.

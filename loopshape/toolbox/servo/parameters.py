@@ -84,7 +84,7 @@ AXIS_PARAMETERS = ParameterTable(
     MASS, VISCOUS, STIFFNESS, COULOMB, SPEED, LEVELS, SIDES, STRIBECK, STRIBECK_SPEED, STRIBECK_POWER, DAHL, DAHL_M,
     DRAG, CUBIC, CENTRE, OFFSET, LIMIT, LIMIT_SOFT, PLAY, DRIVE_PLAY, SHARE, SPRING, DAMPER, DELAY, LAG,
 ) = range(25)  # fmt: skip
-_PLAIN = (
+_UNSCALED = (
     "mass_kg", "viscous_ns_m", "stiffness_n_m", "coulomb_n", "coulomb_m_s", "coulomb_asymmetry", "viscous_asymmetry",
     "stribeck_share", "stribeck_m_s", "stribeck_power", "presliding_n", "presliding_m", "drag_ns2_m2", "cubic_n_m3",
     "cubic_centre_m", "force_offset_n", "force_limit_n", "force_limit_soft", "sensor_play_m", "drive_play_m",
@@ -99,7 +99,7 @@ def constants(vector: Array) -> Array:
     reduced_kg = share * (1.0 - share) * p["mass_kg"]
     turn = TWO_PI * p["flexible_hz"]
     spring = [reduced_kg * turn**2, 2.0 * p["flexible_damping"] * reduced_kg * turn]
-    return np.array([*(p[n] for n in _PLAIN), *spring, 1e-3 * p["loop_delay_ms"], 1e-3 * p["force_lag_ms"]])
+    return np.array([*(p[n] for n in _UNSCALED), *spring, 1e-3 * p["loop_delay_ms"], 1e-3 * p["force_lag_ms"]])
 
 
 def with_nominal(nominal: Mapping[str, float]) -> ParameterTable:

@@ -119,8 +119,8 @@ def _headed(p: Estimate) -> str:
 def _estimate(p: Estimate) -> Cell:
     factor = 1e3 if p.unit == "s" else 1.0
     low, high = p.interval
-    reach = DASH if not np.isfinite([low, high]).all() else f"{number(factor * low)} … {number(factor * high)}"
-    return figure(p.value, joined([number(factor * p.value, 5), tag("span", reach, class_="reach")]))
+    ends = DASH if not np.isfinite([low, high]).all() else f"{number(factor * low)} … {number(factor * high)}"
+    return figure(p.value, joined([number(factor * p.value, 5), tag("span", ends, class_="interval95")]))
 
 
 def _ended(fit: Fit) -> Content:

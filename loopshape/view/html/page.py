@@ -63,9 +63,9 @@ def _header(report: RunReport) -> Markup:
         (len(report.frfs), "frequency response"),
         (len(report.checked), "checked loop"),
     ]
-    said = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in counts if n)
+    text = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in counts if n)
     return tag(
-        "header", tag("h1", f"Run {report.name}"), tag("p", f"{said or 'no data'} · {report.date}", class_="quiet")
+        "header", tag("h1", f"Run {report.name}"), tag("p", f"{text or 'no data'} · {report.date}", class_="quiet")
     )
 
 
@@ -159,7 +159,7 @@ def _legend(traces: Sequence[Trace], verdict: Verdict | None) -> Markup:
 def _thinned(traces: Sequence[Trace], checked: bool) -> str:
     """What was drawn of what was measured, in words."""
     drawn, measured = sum(trace.frequency_hz.size for trace in traces), sum(trace.lines for trace in traces)
-    said = (
+    text = (
         f"All {measured} frequencies are drawn."
         if drawn == measured
         else f"{drawn} of {measured} frequencies are drawn: every curve's extremes in each stretch of frequency, none"
@@ -173,6 +173,6 @@ def _thinned(traces: Sequence[Trace], checked: bool) -> str:
         else "Faint dots lie outside the valid band."
     )
     return (
-        f"{said} {curves} {bands} the 95 % band of each frequency by itself, to first order, for S and T by the error"
+        f"{text} {curves} {bands} the 95 % band of each frequency by itself, to first order, for S and T by the error"
         " of P; the tables' intervals are those of the check."
     )

@@ -94,11 +94,11 @@ def _without_script(checked: CheckedLoop | None) -> Markup:
 
 def nichols_words(required: Requirements | None) -> str:
     """What the lines behind the Nichols curves mean."""
-    said = ["Grey: |S| constant, dashed |T|."]
+    notes = ["Grey: |S| constant, dashed |T|."]
     if required is not None:
         closest, peak = closest_db(required), required.complementary_peak_db or 0.0
-        said += [] if closest is None else [f"Red, filled: |S| above {number(closest)} dB."]
-        said += [f"Red, dashed: |T| at {number(peak)} dB."] if peak > 0.0 else []
+        notes += [] if closest is None else [f"Red, filled: |S| above {number(closest)} dB."]
+        notes += [f"Red, dashed: |T| at {number(peak)} dB."] if peak > 0.0 else []
         if required.phase_margin_deg or required.gain_margin_db or required.gain_reduction_margin_db:
-            said.append("Red cross: required margins, phase sideways, gain upwards and downwards.")
-    return " ".join([*said, "A stable loop keeps the black cross on its left as frequency rises."])
+            notes.append("Red cross: required margins, phase sideways, gain upwards and downwards.")
+    return " ".join([*notes, "A stable loop keeps the black cross on its left as frequency rises."])

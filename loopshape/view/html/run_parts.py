@@ -96,15 +96,15 @@ def recordings(sheets: Sequence[RecordingSheet], notes: Sequence[str]) -> Markup
 
 def _recording(one: RecordingSheet) -> list[Cell | Content]:
     info = one.info
-    said = [*one.faults, *([f"ended early: {info.ended_early}"] if info.ended_early else [])]
-    faults = tag("ul", *(tag("li", words) for words in said)) if said else "none found"
+    notes = [*one.faults, *([f"ended early: {info.ended_early}"] if info.ended_early else [])]
+    faults = tag("ul", *(tag("li", words) for words in notes)) if notes else "none found"
     excites = ", ".join(info.excited) or DASH
     where = info.injection.replace("_", " ") if info.closed_loop else f"{info.injection}, loop open"
     head = named(info.name, point(info.operating_point, info.parameters))
     period = "" if info.period_s is None else f", period {number(info.period_s)} s"
     length = figure(one.samples / one.rate_hz)
     count_ = figure(float(one.samples), str(one.samples))
-    cell = Cell(faults, kind="faults" if said else None)
+    cell = Cell(faults, kind="faults" if notes else None)
     return [head, f"{info.kind}{period}", excites, where, length, count_, info.role, cell]
 
 

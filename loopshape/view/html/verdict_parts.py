@@ -149,7 +149,7 @@ def gauge(line: RequirementResult, limit: Limit) -> Markup:
         tag("path", d=bad, class_="forbidden"),
         tag("path", d=f"M0 {middle}H{GAUGE_WIDTH}", class_="scale"),
         tag("path", d=f"M{tick} 2V{GAUGE_HEIGHT - 2}", class_="limit"),
-        tag("path", d=f"M{at[2]} {middle}H{at[3]}", class_=f"reach {line.outcome}") if line.span else None,
+        tag("path", d=f"M{at[2]} {middle}H{at[3]}", class_=f"interval95 {line.outcome}") if line.span else None,
         tag("circle", cx=at[1], cy=middle, r=4.5, class_=f"found {line.outcome}"),
         viewBox=f"0 0 {GAUGE_WIDTH} {GAUGE_HEIGHT}",
         class_="gauge",
@@ -260,7 +260,7 @@ def _margin(m: Margins, limit: Limit, worst: bool, asked: RequirementResult | No
     shown = f"> {number(value)}" if beyond else number(value)
     parts: list[Content] = [tag("span", "worst", class_="flag") if worst else None, " ", shown]
     if reach is not None and np.isfinite(reach).any():
-        parts.append(tag("span", interval(reach, factor), class_="reach"))
+        parts.append(tag("span", interval(reach, factor), class_="interval95"))
     kind = None if not worst else f"worst {asked.outcome if asked is not None else ''}".strip()
     return figure(value, joined(parts), kind)
 

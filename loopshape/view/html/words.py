@@ -59,7 +59,7 @@ def point(operating_point: Mapping[str, float], parameters: Mapping[str, float] 
 
 def named(name: str, where: str) -> Markup:
     """A recording's name, and below it its operating point."""
-    return joined([name, tag("span", where, class_="reach") if where else None])
+    return joined([name, tag("span", where, class_="interval95") if where else None])
 
 
 def count(n: int, what: str) -> str:

@@ -57,7 +57,7 @@ class ClosedLoops:
     controllers: tuple[Controller, ...]
     unstable_poles: int | None
 
-    def judged(self, required: Requirements) -> Requirements:
+    def of_plant(self, required: Requirements) -> Requirements:
         """What is required, with the poles of the plant that is met: those of a file are of the whole plant."""
         return replace(required, integrators=None, unstable_poles=self.unstable_poles)
 
@@ -76,9 +76,9 @@ class ShapingSession:
     verdict: Verdict
     others: ClosedLoops | None = None
 
-    def judged(self, required: Requirements) -> Requirements:
+    def of_plant(self, required: Requirements) -> Requirements:
         """The requirements of the equivalent plant."""
-        return required if self.others is None else self.others.judged(required)
+        return required if self.others is None else self.others.of_plant(required)
 
 
 def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[str, Any]:
@@ -116,8 +116,8 @@ def _constants() -> dict[str, Any]:
     """Numbers of the formulas, from the modules that hold them."""
     return {
         "half_width": margins.REACH,
-        "below_ratios": low_end.DOWN.tolist(),
-        "extrapolated_below": low_end.LED,
+        "below_ratios": low_end.BELOW_RATIOS.tolist(),
+        "extrapolated_below": low_end.EXTRAPOLATED_BELOW,
         "far_below": low_end.SMALL,
         "agree": low_end.AGREE,
         "large": low_end.LARGE,
@@ -125,9 +125,9 @@ def _constants() -> dict[str, Any]:
         "same": stability.SAME,
         "least_damping": holes.LEAST_DAMPING,
         "poor_damping": holes.POOR_DAMPING,
-        "radius_95": obstacles.REACH_95,
+        "radius_95": obstacles.RADIUS_95,
         "wrong": obstacles.WRONG,
-        "uncertain_ratio": obstacles.STRAYS,
+        "uncertain_ratio": obstacles.UNCERTAIN_RATIO,
         "on_it": obstacles.ON_IT,
         "between": dense.BETWEEN,
         "fewest": dense.FEWEST,
@@ -140,8 +140,8 @@ def _constants() -> dict[str, Any]:
         "most": between.MOST,
         "wide": between.WIDE,
         "bulge": between.BULGE,
-        "neighbour_lines": between.ASIDE,
-        "path_half_widths": between.ALONG.tolist(),
+        "neighbour_lines": between.NEIGHBOUR_LINES,
+        "path_half_widths": between.PATH_HALF_WIDTHS.tolist(),
         "places": PLACES.tolist(),
         "sharpest": sampling.SHARPEST,
         "fit_deg": stability.FIT_DEG,
@@ -171,7 +171,7 @@ def _detuning_constants() -> dict[str, Any]:
         "finest_step": detuning.FINEST_STEP,
         "rounding": detuning.ROUNDING,
         "draws": shifted.DRAWN,
-        "half_width": shifted.REACH,
+        "half_width": shifted.HALF_WIDTH_STD,
         "matters": shifted.MATTERS,
         "near": shifted.NEAR.tolist(),
     }
@@ -184,7 +184,7 @@ def _state(seed: int) -> dict[str, str]:
 
 
 def _loop(one: ShapingSession) -> dict[str, Any]:
-    required = one.judged(one.requirements)
+    required = one.of_plant(one.requirements)
     loops, notes = loops_of(one.frfs, one.controller, required, one.fits)
     return {
         "name": one.requirements.loop or one.controller.loop,
@@ -315,7 +315,7 @@ def _low_end(loop: Loop) -> dict[str, Any]:
         "fitted_poles": [_pair(p) for p in poles],
         "below_f": packed(below_hz),
         "below": [packed(model.response(below_hz)) for model in models],
-        "extrapolated": [_extrapolated(float(loop.frequency_hz[0]) * low_end.DOWN, model) for model in models],
+        "extrapolated": [_extrapolated(float(loop.frequency_hz[0]) * low_end.BELOW_RATIOS, model) for model in models],
         "simple": any(low_end.is_simple(model) for model in models),
         "order": [*low_end.low_order(loop.raw or loop.plant), low_end.room_of(loop.raw or loop.plant)],
         "gaps": [_gap(gap) for gap in holes.gaps_of(loop)],
@@ -356,8 +356,8 @@ def _resonance(one: Resonance) -> dict[str, Any]:
 
 def _between_lines(loop: Loop) -> dict[str, Any]:
     """Resonances close together, fitted, and where lines scatter: of the plant alone."""
-    clusters = [_cluster(loop, stretch) for stretch in obstacles.stretches_in(loop)]
-    residual, scatter = obstacles.rough_in(loop)
+    clusters = [_cluster(loop, band) for band in obstacles.cluster_bands_in(loop)]
+    residual, scatter = obstacles.interpolation_residuals(loop)
     tells = scatter.any() or any(one["left"] == Residual.SCATTER.value for one in clusters)
     return {
         "clusters": clusters,
@@ -366,13 +366,13 @@ def _between_lines(loop: Loop) -> dict[str, Any]:
     }
 
 
-def _cluster(loop: Loop, stretch: ClusterBand) -> dict[str, Any]:
+def _cluster(loop: Loop, band: ClusterBand) -> dict[str, Any]:
     """A stretch of lines and the ways in which poles explain it: those as complex64, as they are kept."""
-    cluster = obstacles.crowd_in(loop, stretch)
+    cluster = obstacles.cluster_in(loop, band)
     return {
-        "low": stretch.low,
-        "high": stretch.high,
-        "polynomial_residual": obstacles.strays_in(loop, stretch),
+        "low": band.low,
+        "high": band.high,
+        "polynomial_residual": obstacles.polynomial_residual(loop, band),
         "left": cluster.left.value,
         "delay_s": cluster.delay_s,
         "power": _pair(cluster.window.power[0]),

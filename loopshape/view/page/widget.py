@@ -72,4 +72,4 @@ class ShapeWidget(anywidget.AnyWidget):  # type: ignore[misc,unused-ignore]
     def check(self) -> Verdict:
         """What `check` says of the design as it is now."""
         one = self._one
-        return check(one.frfs, self.controller, one.judged(self.requirements), one.fits)
+        return check(one.frfs, self.controller, one.of_plant(self.requirements), one.fits)

@@ -49,8 +49,8 @@ def nearest_branch(phase_deg: Array, near_deg: Array | float) -> Array:
 
 def magnitude_band_db(frf: FRF) -> tuple[Array, Array]:
     """95 % band (nf,) of |G| in dB for a circular error: |G| varies with sqrt(variance/2)."""
-    size, reach = np.abs(frf.siso), NORMAL_95 * np.sqrt(frf.variance[:, 0, 0] / 2.0)
-    return np.maximum(db(np.maximum(size - reach, 0.0)), FLOOR_DB), db(size + reach)
+    size, half_width = np.abs(frf.siso), NORMAL_95 * np.sqrt(frf.variance[:, 0, 0] / 2.0)
+    return np.maximum(db(np.maximum(size - half_width, 0.0)), FLOOR_DB), db(size + half_width)
 
 
 def thinned(f: Array, curves: Sequence[Array], most: int) -> np.ndarray:

@@ -78,8 +78,8 @@ def _errorbars(
     ax: Axes, x: np.ndarray, fits: Sequence[Fit], name: str, label: str, colour: str, marker: str, **look: Any
 ) -> None:
     values = np.array([fit[name].value for fit in fits])
-    reach = np.array([fit[name].interval[1] for fit in fits]) - values
-    reach = np.where(np.isfinite(reach), reach, 0.0)
+    half_width = np.array([fit[name].interval[1] for fit in fits]) - values
+    half_width = np.where(np.isfinite(half_width), half_width, 0.0)
     style: dict[str, Any] = {
         "color": colour,
         "linewidth": 0.8,
@@ -87,7 +87,7 @@ def _errorbars(
         "capsize": 1.5,
         "markersize": 4.0,
     } | look
-    ax.errorbar(x, values, yerr=reach, label=label, marker=marker, **style)
+    ax.errorbar(x, values, yerr=half_width, label=label, marker=marker, **style)
     failed = np.array([fit.outcome != "converged" for fit in fits])
     if failed.any():
         hollow: dict[str, Any] = {

@@ -226,12 +226,12 @@ def _fit_lines(fit: Fit | None) -> tuple[str, ...]:
 
 
 def _estimate(parameter: Estimate) -> str:
-    reach = parameter.interval[1] - parameter.value
-    digits = max(0, 1 - int(np.floor(np.log10(reach)))) if np.isfinite(reach) and reach > 0.0 else 3
+    half_width = parameter.interval[1] - parameter.value
+    digits = max(0, 1 - int(np.floor(np.log10(half_width)))) if np.isfinite(half_width) and half_width > 0.0 else 3
     value = f"{parameter.value:.{min(digits, 6)}f}"
     name, unit = split_unit(parameter.name)
     unit = unit or ("" if parameter.unit == "1" else superscripts(parameter.unit))
-    return f"{symbol(name)} = {value} ± {reach:.2g} {unit}".rstrip()
+    return f"{symbol(name)} = {value} ± {half_width:.2g} {unit}".rstrip()
 
 
 @styled()

@@ -104,9 +104,9 @@ def relative_gains(found: Interaction, *, ax: Axes | None = None) -> Axes:
     use = one.valid
     for k, name in enumerate(found.loops if len(found.loops) > 2 else found.loops[:1]):
         colour, size = COLOURS[k % len(COLOURS)], np.abs(one.gain[:, k, k])
-        reach = _NORMAL_95 * one.std[:, k, k] / np.sqrt(2.0)
+        half_width = _NORMAL_95 * one.std[:, k, k] / np.sqrt(2.0)
         draw_valid(ax, one.frequency_hz, size, use, color=colour, label=symbol(name))
-        low, high = np.maximum(size - reach, 0.0), size + reach
+        low, high = np.maximum(size - half_width, 0.0), size + half_width
         draw_band(ax, one.frequency_hz[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
     ax.axhline(1.0, color=QUIET, linewidth=0.8, linestyle="--", gid="one")
     frequency_axis(ax, *shown_band_hz(found.frf))
@@ -165,10 +165,10 @@ def _each(equivalents: Sequence[EquivalentPlant]) -> Iterator[tuple[EquivalentPl
 
 def _fit_around_zero(ax: Axes, least: float, most: float) -> None:
     """Symmetric, with room for the key above."""
-    reach = max(abs(float(ax.dataLim.y0)), abs(float(ax.dataLim.y1)))
-    reach = min(max(reach if np.isfinite(reach) else 0.0, least), most)
+    half_width = max(abs(float(ax.dataLim.y0)), abs(float(ax.dataLim.y1)))
+    half_width = min(max(half_width if np.isfinite(half_width) else 0.0, least), most)
     ax.axhline(0.0, color=QUIET, linewidth=0.8, linestyle="--", gid="zero")
-    ax.set_ylim(-1.2 * reach, 1.6 * reach)
+    ax.set_ylim(-1.2 * half_width, 1.6 * half_width)
 
 
 @styled()

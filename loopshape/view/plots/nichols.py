@@ -20,7 +20,7 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.points import Worst, worst_of
-from loopshape.view.key import Crowd, Entry, corner_with_room, curve, key_of, place_entries, place_key
+from loopshape.view.key import Entry, LabelRoom, corner_with_room, curve, key_of, place_entries, place_key
 from loopshape.view.plots.curves import NOT_VALID, draw_known, loop_phase_deg, nearest_branch
 from loopshape.view.plots.nichols_guides import (
     CONTOUR_ENTRIES,
@@ -93,17 +93,17 @@ def nichols(
 
 def _guides(ax: Axes, one: _Curve, worst: Worst, required: Requirements | None, entries: Sequence[Entry]) -> None:
     """Words where there is room for them: notes, the worst point's name, the contours' levels."""
-    crowd = Crowd(ax, _SIZE_IN)
-    loc = corner_with_room(ax, crowd, entries)
-    crowd.add_corner(loc, entries)
+    room = LabelRoom(ax, _SIZE_IN)
+    loc = corner_with_room(ax, room, entries)
+    room.add_corner(loc, entries)
     closest = None if required is None else closest_db(required)
     if required is None:
         centre_marks(ax)
     else:
-        forbidden(ax, crowd, required, closest)
-    _name(ax, crowd, one, worst)
-    _frequencies(ax, crowd, one)
-    contours(ax, crowd, closest)
+        forbidden(ax, room, required, closest)
+    _name(ax, room, one, worst)
+    _frequencies(ax, room, one)
+    contours(ax, room, closest)
     place_entries(ax, entries, loc)
 
 
@@ -192,22 +192,22 @@ def chosen_lines(loop: Loop, phase_deg: Array, known: np.ndarray, count: int) ->
     return sorted({nearest, *(int(rows[k]) for k in spread)})
 
 
-def _name(ax: Axes, crowd: Crowd, one: _Curve, worst: Worst) -> None:
+def _name(ax: Axes, room: LabelRoom, one: _Curve, worst: Worst) -> None:
     """A dot where the worst curve is worst, with its frequency beside it where there is room."""
     k = int(np.argmin(np.abs(one.loop.frequency_hz - worst.at_hz)))
     x, y = float(one.phase_deg[k]), float(one.size_db[k])
     ax.plot([x], [y], "o", color="black", markersize=4.5, scalex=False, scaley=False, zorder=4.0, gid="worst")
-    around = crowd.around(x, y, 0.4)
-    best = crowd.emptiest(around[:, 0], around[:, 1])
+    around = room.around(x, y, 0.4)
+    best = room.emptiest(around[:, 0], around[:, 1])
     if best is None:
         return
     place = (float(around[best, 0]), float(around[best, 1]))
     arrow = {"arrowstyle": "-", "color": "black", "linewidth": 0.7, "shrinkA": 0.0, "shrinkB": 2.0}
     ax.annotate(f"{worst.at_hz:.3g} Hz", (x, y), place, zorder=4.1, arrowprops=arrow, **_word(7.5))
-    crowd.add_box(*place, 0.55, 0.15)
+    room.add_box(*place, 0.55, 0.15)
 
 
-def _frequencies(ax: Axes, crowd: Crowd, one: _Curve) -> None:
+def _frequencies(ax: Axes, room: LabelRoom, one: _Curve) -> None:
     """Ticks at 1, 2 and 5 Hz and their decades along the worst curve, with words where there is room."""
     f, known = one.loop.frequency_hz, one.known
     decades = 10.0 ** np.arange(np.floor(np.log10(f[0])), np.ceil(np.log10(f[-1])))
@@ -215,14 +215,14 @@ def _frequencies(ax: Axes, crowd: Crowd, one: _Curve) -> None:
         k = int(np.argmin(np.abs(np.log(f / wanted))))
         if not known[k] or abs(f[k] / wanted - 1.0) > 0.03:
             continue
-        around = crowd.around(one.phase_deg[k], one.size_db[k], 0.13)[:24]
-        best = crowd.emptiest(around[:, 0], around[:, 1])
-        if best is None or crowd.room_in(around[best]) < 0.1:
+        around = room.around(one.phase_deg[k], one.size_db[k], 0.13)[:24]
+        best = room.emptiest(around[:, 0], around[:, 1])
+        if best is None or room.room_in(around[best]) < 0.1:
             continue
         free: dict[str, Any] = {"scalex": False, "scaley": False, "zorder": 3.5}
         ax.plot(one.phase_deg[k], one.size_db[k], gid="frequency", **free, **_TICK)
         ax.text(around[best, 0], around[best, 1], f"{wanted:g}", zorder=3.4, **_word(6.5))
-        crowd.add_box(around[best, 0], around[best, 1], 0.3, 0.1)
+        room.add_box(around[best, 0], around[best, 1], 0.3, 0.1)
 
 
 def _word(size: float) -> dict[str, Any]:

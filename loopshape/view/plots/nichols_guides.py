@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg, from_db
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.view.key import Crowd, Entry
+from loopshape.view.key import Entry, LabelRoom
 from loopshape.view.labels import number
 from loopshape.view.style import LIMIT
 
@@ -32,16 +32,16 @@ def closest_db(required: Requirements) -> float | None:
     return min(limits) if limits else None
 
 
-def contours(ax: Axes, crowd: Crowd, below_db: float | None) -> None:
+def contours(ax: Axes, room: LabelRoom, below_db: float | None) -> None:
     """Contours of |S| (solid) and |T| (dashed) at `LEVELS_DB`, those below a limit; labels where there is room."""
     levels = [level for level in LEVELS_DB if below_db is None or level < below_db]
     for name, of, style in (("S", constant_s, _S), ("T", constant_t, _T)):
         for level in levels:
-            _contour(ax, crowd, f"|{name}| {number(level)} dB", of, level, style)
+            _contour(ax, room, f"|{name}| {number(level)} dB", of, level, style)
 
 
 def _contour(
-    ax: Axes, crowd: Crowd, text: str, of: Callable[[float], ComplexArray], level_db: float, style: dict[str, Any]
+    ax: Axes, room: LabelRoom, text: str, of: Callable[[float], ComplexArray], level_db: float, style: dict[str, Any]
 ) -> None:
     phase, size = nichols_coordinates(of(level_db))
     places = []
@@ -49,10 +49,10 @@ def _contour(
         ax.plot(phase + shift, size, scalex=False, scaley=False, zorder=1.5, gid=text, **style)
         places.append(np.column_stack([phase + shift, size])[::6])
     x, y = np.vstack(places).T
-    k = crowd.emptiest(x, y)
-    if k is not None and crowd.room_in(np.array([x[k], y[k]])) > 0.1:
+    k = room.emptiest(x, y)
+    if k is not None and room.room_in(np.array([x[k], y[k]])) > 0.1:
         _label(ax, x[k], y[k], text)
-        crowd.add_box(x[k], y[k], 0.5, 0.1)
+        room.add_box(x[k], y[k], 0.5, 0.1)
 
 
 def _label(ax: Axes, x: float, y: float, text: str) -> None:
@@ -61,7 +61,7 @@ def _label(ax: Axes, x: float, y: float, text: str) -> None:
     ax.text(x, y, text, color="0.4", zorder=1.6, clip_on=True, **style)
 
 
-def forbidden(ax: Axes, crowd: Crowd, required: Requirements, closest: float | None) -> None:
+def forbidden(ax: Axes, room: LabelRoom, required: Requirements, closest: float | None) -> None:
     """The regions that limits of |S| and |T| forbid, and crosses of the required margins, at every critical point."""
     t_limit = required.complementary_peak_db
     for shift in turns(*ax.get_xlim()):
@@ -69,7 +69,7 @@ def forbidden(ax: Axes, crowd: Crowd, required: Requirements, closest: float | N
             x, y = _shifted(constant_s(closest), shift)
             ax.fill(x, y, facecolor=LIMIT, alpha=0.14, linewidth=0.0, zorder=1.7)
             for share in (0.3, 0.6, 0.8, 1.0):
-                crowd.add(shift - 180.0 + share * (x - shift + 180.0), share * y)
+                room.add(shift - 180.0 + share * (x - shift + 180.0), share * y)
             ax.plot(x, y, color=LIMIT, linewidth=1.1, scalex=False, scaley=False, zorder=2.5, gid="limit |S|")
         if t_limit is not None and t_limit > 0.0:
             x, y = _shifted(constant_t(t_limit), shift)

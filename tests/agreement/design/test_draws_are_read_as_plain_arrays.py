@@ -8,7 +8,7 @@ import loopshape as ls
 from loopshape.core.kernels.loops.quick_evaluate import quick_evaluate
 from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.search import LARGEST, PENALTY, Goal, begin, linear
+from loopshape.design.search import LARGEST, PENALTY, Goal, initial_point, linear
 from loopshape.design.starts import glanced
 from loopshape.loop.margin.margins import Reader
 
@@ -83,7 +83,7 @@ def test_a_glance_ends_early_only_where_no_limit_holds_and_nothing_is_gained() -
 def test_the_linear_programme_holds_every_row_that_may_bind(goal: Goal) -> None:
     limits = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "control_peak_db": 20.0}
     p = problem_of(servos(0.0, 300), required(GAIN, LEAD, **limits))
-    m = begin(p, 0.5 * (p.low + p.high)).measures
+    m = initial_point(p, 0.5 * (p.low + p.high)).measures
     low, high = np.full(p.low.size, -0.3), np.array([0.3, 0.1, 0.0])
     cost, A, b, lows, highs = linear(m, goal, low, high)
     rng, n = np.random.default_rng(5), low.size

@@ -9,7 +9,7 @@ from loopshape.core.kernels.loops.flat_loops import mark_peaks, series
 from loopshape.core.kernels.loops.quick_evaluate import quick_evaluate
 from loopshape.data.control.block import series_response
 from loopshape.design.problem.evaluation import Evaluation
-from loopshape.design.search import begin
+from loopshape.design.search import initial_point
 from loopshape.design.starts import glanced, scaled_start
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 5.0, "control_peak_db": 20.0}
@@ -37,7 +37,7 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
         x = p.low + rng.random(p.low.size) * (p.high - p.low)
         e = Evaluation(p, x)
         merit, _ = quick_evaluate(q, 1.0, e.C, e.C[p.above], e.below, np.inf)
-        measured = begin(p, x).merit
+        measured = initial_point(p, x).merit
         assert np.isfinite(merit) == np.isfinite(measured)
         if np.isfinite(merit):
             seen += 1
@@ -50,8 +50,8 @@ def test_merit_and_count_are_those_of_rows(limits: dict) -> None:
 def test_a_start_has_the_largest_gain_that_holds() -> None:
     p = problem_of([frf(DELAYED, 400)], required(GAIN, **LIMITS))
     seen = scaled_start(p, glanced(p), np.log([0.01]), 30)
-    more = begin(p, seen.x + 1e-3).measures
-    assert begin(p, seen.x - 1e-3).measures.worst >= 0.0
+    more = initial_point(p, seen.x + 1e-3).measures
+    assert initial_point(p, seen.x - 1e-3).measures.worst >= 0.0
     assert more.worst < 0.0
 
 
@@ -61,7 +61,7 @@ def test_coarse_lines_keep_resonances_and_measure_alike() -> None:
     rng, apart = np.random.default_rng(0), []
     for _ in range(200):
         x = scaled_start(p, glanced(p), p.low + rng.random(p.low.size) * (p.high - p.low)).x
-        full, few = begin(p, x), begin(p.coarse, x)
+        full, few = initial_point(p, x), initial_point(p.coarse, x)
         if full.measures.stable and full.measures.worst >= 0.0:
             apart.append(abs(few.merit - full.merit))
         if len(apart) == 25:

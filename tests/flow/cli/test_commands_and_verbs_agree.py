@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 import loopshape as ls
 from loopshape.core.json_ready import json_ready
-from loopshape.core.toolboxes import Found, Toolbox
+from loopshape.core.toolboxes import Installed, Toolbox
 from loopshape.verbs import estimates
 
 RATE_HZ = 500.0
@@ -143,7 +143,7 @@ def test_faults_of_recordings_that_give_no_frf_are_told():
 
 def test_a_broken_look_harms_nothing(monkeypatch):
     box = Toolbox("mine", "looks", looks={"odd": "no_such_module:look"})
-    monkeypatch.setattr(estimates, "found", lambda: Found({"mine": box}, ()))
+    monkeypatch.setattr(estimates, "found", lambda: Installed({"mine": box}, ()))
     u = np.random.default_rng(1).standard_normal(6000)
     with pytest.warns(UserWarning, match="the look odd of a toolbox failed: ModuleNotFoundError"):
         assert ls.frf(ls.Run.from_arrays(u=u, y=0.5 * u, rate_hz=RATE_HZ)).frequency_hz.size

@@ -25,9 +25,9 @@ from loopshape.toolbox.rig.target.messages import (
     Response,
     Samples,
     Status,
-    begin,
     rows,
     setpoint,
+    start_payload,
 )
 
 TARGET = Path(loopshape.__file__).parent / "toolbox" / "rig" / "c_target"
@@ -152,7 +152,7 @@ class Bench:
 
     def record(self, table: np.ndarray, columns: int, injection: int = 0, run: int = 1, go: bool = True) -> None:
         """Announce a recording with these rows, upload what there is room for, go."""
-        self.ok(Request.BEGIN, begin(run, len(table), injection, columns, 0, False))
+        self.ok(Request.BEGIN, start_payload(run, len(table), injection, columns, 0, False))
         for first in range(0, min(len(table), 64), 32):
             self.ok(Request.ROWS, rows(run, first, table[first : min(first + 32, 64)], self.number))
         if go:
@@ -160,7 +160,7 @@ class Bench:
 
     def watched(self, sensors: np.ndarray) -> np.ndarray:
         """Samples of a recording with these sensors (n, 3), the first as they are now, and nothing injected."""
-        self.ok(Request.BEGIN, begin(1, len(sensors), 0, 0, 0, False))
+        self.ok(Request.BEGIN, start_payload(1, len(sensors), 0, 0, 0, False))
         self.ok(Request.GO, struct.pack("<I", 1))
         while self.status().tick == 0:
             self.tick(1)

@@ -8,7 +8,7 @@ from conversions import TWO_PI, db
 
 from loopshape.toolbox.limits.bound import excluded
 from loopshape.toolbox.limits.bound_nodes import weights
-from loopshape.toolbox.limits.bound_reach import reach
+from loopshape.toolbox.limits.bound_reach import achieved
 
 
 @pytest.mark.long
@@ -35,7 +35,7 @@ def test_a_limit_on_cs_alone_is_bracketed_by_a_constant_and_by_each_frequency():
     asked = limits(control_peak_db=float(db(m)))
     bound = excluded(loop, [loop], asked)
     assert np.sqrt(2.0 * m - 1.0) < TWO_PI * bound.bound_hz < 1.02 * np.sqrt(4.0 * m**2 - 1.0)
-    assert reach(loop, asked, bound.bound_hz).bandwidth_hz > 0.85 * bound.bound_hz
+    assert achieved(loop, asked, bound.bound_hz).bandwidth_hz > 0.85 * bound.bound_hz
 
 
 def test_twice_the_delay_halves_the_bound():
@@ -55,7 +55,7 @@ def test_a_high_order_controller_reaches_most_of_the_bound_and_is_stable():
     loop = loop_of(model, integrators=1)
     asked = limits(sensitivity_peak_db=6.0, control_peak_db=30.0)
     bound = excluded(loop, [loop], asked)
-    found = reach(loop, asked, bound.bound_hz)
+    found = achieved(loop, asked, bound.bound_hz)
     assert 0.8 * bound.bound_hz < found.bandwidth_hz <= bound.bound_hz
     lines = (found.f >= loop.frequency_hz[0]) & (found.f <= loop.frequency_hz[-1])
     S = 1.0 / (1.0 + found.L)

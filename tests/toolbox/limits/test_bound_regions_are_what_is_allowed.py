@@ -56,7 +56,7 @@ def test_support_is_that_of_what_is_allowed(what, several, unstable, monkeypatch
     for f_hz in (0.2, 0.7, 1.5, 4.0, 5.5, 9.0):
         k = int(np.argmin(np.abs(at.f - f_hz)))
         x = np.linspace(-1.0, 1.0, GRID)
-        Q = found.centre[k] + found.reach[k] * (x[:, None] + 1j * x)
+        Q = found.centre[k] + found.extent[k] * (x[:, None] + 1j * x)
         C = (at.r0[k] + at.r1[k] * Q) / (at.s0[k] + at.s1[k] * Q)
         Ps = [one.response(at.f[k : k + 1])[0] for one in models]
         for crossing in (False, True):
@@ -66,8 +66,8 @@ def test_support_is_that_of_what_is_allowed(what, several, unstable, monkeypatch
                 continue
             seen += 1
             most = np.array([np.real(h * inside).max() for h in HS])
-            step = 2.0 * found.reach[k] / (GRID - 1)
-            assert np.all(most <= np.array(support) + 1e-4 * found.reach[k])
+            step = 2.0 * found.extent[k] / (GRID - 1)
+            assert np.all(most <= np.array(support) + 1e-4 * found.extent[k])
             assert np.all(most >= np.array(support) - 6.0 * step)  # corners may lie between the grid's points
     assert seen >= 4
 

@@ -18,7 +18,7 @@ ASKED = {
 @pytest.mark.hour
 def test_a_controller_of_four_poles_passes_the_check_below_the_bound():
     P, R = frf_of(MODEL, lines=100), limits(**ASKED)
-    found = ls.limits.reach(P, gain(), R, 4)
+    found = ls.limits.max_order_design(P, gain(), R, 4)
     assert found.controller.order() <= 4
     assert ls.check(P, found.controller, R).passed
     most = ls.limits.bound(P, found.controller, R).bound_hz
@@ -27,9 +27,10 @@ def test_a_controller_of_four_poles_passes_the_check_below_the_bound():
 
 def test_an_order_below_one_is_refused():
     with pytest.raises(ls.errors.WrongUseError, match="at least one pole"):
-        ls.limits.reach(frf_of(MODEL), gain(), limits(**ASKED), 0)
+        ls.limits.max_order_design(frf_of(MODEL), gain(), limits(**ASKED), 0)
 
 
 def test_without_a_limit_to_design_for_it_says_so():
+    asked = limits(phase_margin_deg=45.0, integrators=1, unstable_poles=0)
     with pytest.raises(ls.errors.WrongUseError, match="no convex design"):
-        ls.limits.reach(frf_of(MODEL), gain(), limits(phase_margin_deg=45.0, integrators=1, unstable_poles=0), 4)
+        ls.limits.max_order_design(frf_of(MODEL), gain(), asked, 4)

@@ -60,14 +60,14 @@ def test_the_arm_reaches_the_wish_over_its_draws_of_phases(run, tmp_path):
     assert told["complete"]
     assert told["binds"] == "distortion"
     assert told["realisations"] > 1
-    assert told["wished_std"] == pytest.approx(10.0**0.005 - 1.0)
+    assert told["required_std"] == pytest.approx(10.0**0.005 - 1.0)
     assert 0.5 < told["crossover_hz"] < 2.0
     assert (run / "figures" / "plan_theta2.png").read_bytes().startswith(b"\x89PNG")
     assert loopshape("measure", told["study"], "--out", tmp_path / "next", "--quiet")[0] == 0
     assert len(ls.read(tmp_path / "next").recordings) == told["realisations"]
     assert loopshape("frf", tmp_path / "next", "--realisations", "--quiet")[0] == 0
     scatter, peaks = achieved(told, 20)
-    assert scatter < 1.15 * told["wished_std"]
+    assert scatter < 1.15 * told["required_std"]
     assert 0.6 < scatter / told["std_at_crossover"] < 1.5  # 1.1 here; the floor stands on few silent lines
     assert peaks[0] <= told["amplitude"] * (1.0 + 1e-9)
     assert peaks[1] < 1.3 * told["peak_input"]  # the arm is not linear: 1.08 here
@@ -156,7 +156,7 @@ def test_the_line_of_an_undecided_verdict_is_a_plan_as_it_is(run, tmp_path):
     told = json.loads(said)
     assert told["complete"]
     assert told["binds"] == "seconds"
-    assert told["wished_std"] is None
+    assert told["required_std"] is None
     apart = np.diff(told["lines_hz"])
     assert apart == pytest.approx(1.0 / told["period_s"], rel=1e-6)
     assert 1.0 / told["period_s"] <= float(asked["--resolution-hz"]) * (1.0 + 1e-9)

@@ -258,7 +258,7 @@ def test_predicted_and_bounded_from_the_same_nouns() -> None:
     truth = 1.0 / (1.0 + C.response(S.frequency_hz) * exact(PLANT, S.frequency_hz))
     assert np.allclose(S.siso, truth, rtol=0.05)
     found = ls.limits.bound(P, C, R)
-    assert found.found[P.recording or "frf 1"] < found.together.bound_hz
+    assert found.bandwidths_hz[P.recording or "frf 1"] < found.together.bound_hz
 
 
 def test_the_gap_needs_a_run_that_names_its_plant() -> None:

@@ -175,10 +175,10 @@ CALLS = {
                            least_gain=0.01, disturbance=None), repr),
     "bound": (ls.limits.bound, dict(P=P, C=C, R=R, fits=()), repr),
     "schedule": (ls.schedules.schedule, dict(P=P, R=R, C=C, fits=(), seed=0, starts=1), repr),
-    "reach": (ls.limits.reach, dict(P=P, C=C, R=R, order=1, fits=(), seed=0), repr),
+    "max_order_design": (ls.limits.max_order_design, dict(P=P, C=C, R=R, order=1, fits=(), seed=0), repr),
 }  # fmt: skip
 #: calls whose right answer takes seconds: they are given fewer draws
-SLOW = ("tune", "bound", "schedule", "reach", "shape")
+SLOW = ("tune", "bound", "schedule", "max_order_design", "shape")
 
 
 def draw(rng, name):

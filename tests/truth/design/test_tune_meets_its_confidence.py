@@ -6,7 +6,7 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_o
 
 import loopshape as ls
 from loopshape.design.problem.measures import measure
-from loopshape.design.search import Goal, begin, search
+from loopshape.design.search import Goal, initial_point, search
 from loopshape.design.tighten import allowances, tighten_limits
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
@@ -57,6 +57,6 @@ def test_settling_ends_where_it_passes_whatever_it_starts_from():
     for push in (-0.05, 0.05):
         moved = x.copy()
         moved[0] += push  # the gain: once too low, once beyond the limits
-        found = search(p, begin(p, moved, Goal(), 0.1), Goal(), 60)
+        found = search(p, initial_point(p, moved, Goal(), 0.1), Goal(), 60)
         settled = tighten_limits(p, found, judge)
         assert settled.verdict.passed

@@ -80,10 +80,10 @@ def test_the_certificate_holds_no_small_change_makes_the_worst_miss_smaller():
 
 def test_a_point_that_is_not_the_best_gets_no_certificate():
     from loopshape.design.relax import _certificate
-    from loopshape.design.search import Goal, begin
+    from loopshape.design.search import Goal, initial_point
 
     p = problem_of([PLANT], APART)
-    away = begin(p, np.log([10.0]), Goal(objective=False, soft=None))
+    away = initial_point(p, np.log([10.0]), Goal(objective=False, soft=None))
     pulls, helps = _certificate(p, away, {})
     assert {pull.quantity for pull in pulls} == {"bandwidth_hz"}
     assert helps == pytest.approx(0.01, rel=1e-3)  # 1 % more gain is 1 % more bandwidth

@@ -8,7 +8,7 @@ from bench_nouns import Block
 from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, required, servos
 
 import loopshape as ls
-from loopshape.design.search import begin
+from loopshape.design.search import initial_point
 from loopshape.design.tighten import TightenedSolution
 from loopshape.design.tune import _no_worse, tune, warm_start
 
@@ -73,7 +73,7 @@ def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
         return ls.check(PLANTS, controller, ASKED)
 
     def settled(x):
-        return TightenedSolution(begin(p, x), judge(p.controller(x)), {})
+        return TightenedSolution(initial_point(p, x), judge(p.controller(x)), {})
 
     slow, _ = warm_start(p, SLOW)
     slower, wild = slow.copy(), slow.copy()
@@ -82,9 +82,9 @@ def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
     assert judge(p.controller(slow)).passed
     assert not judge(p.controller(wild)).passed
     for found in (slower, wild):
-        np.testing.assert_array_equal(_no_worse(p, settled(found), slow, judge).found.x, slow)
+        np.testing.assert_array_equal(_no_worse(p, settled(found), slow, judge).result.x, slow)
     for start in (slower, wild):
-        np.testing.assert_array_equal(_no_worse(p, settled(slow), start, judge).found.x, slow)
+        np.testing.assert_array_equal(_no_worse(p, settled(slow), start, judge).result.x, slow)
 
 
 def test_it_runs_as_the_start_runs():

@@ -17,7 +17,7 @@ _WORST = 30.0
 class QuickReadings(NamedTuple):
     """Plants on flat lines, and what is asked of their loops.
 
-    `measured` (points,) are the first lines that were measured, `reach` (nf,) the radii of P's 95 % circles, `fitted`
+    `measured` (points,) are the first lines that were measured, `radius` (nf,) the radii of P's 95 % circles, `fitted`
     (points,) whether a fit leads below the first line. Of each column of `read_margins` the room is `sign` (found -
     `level`) `factor`, level (points, COLUMNS) being nan without a limit. `masks` (10, nf) and `masks_above` (points,
     10, above) weigh as there. `low` (nf,) are the weights of ln 1/|S| in the objective, `bandwidth`, `disturbance` and
@@ -26,7 +26,7 @@ class QuickReadings(NamedTuple):
 
     f: Array
     P: ComplexArray
-    reach: Array
+    radius: Array
     first: np.ndarray
     measured: np.ndarray
     line: np.ndarray
@@ -103,7 +103,7 @@ def _sure(q: QuickReadings, p: int, L: ComplexArray, C: ComplexArray) -> float:
     """Room of what keeps the count sure: -1 outside the 95 % circles, |L| above 1 at the first line."""
     a, largest = q.first[p], 0.0
     for k in range(L.size):
-        largest = max(largest, abs(C[k]) * q.reach[a + k] / max(abs(1.0 + L[k]), 1e-300))
+        largest = max(largest, abs(C[k]) * q.radius[a + k] / max(abs(1.0 + L[k]), 1e-300))
     room = -np.log(largest) if largest > 0.0 else np.inf
     return room if q.fitted[p] else min(room, np.log(max(abs(L[q.measured[p] - a]), 1e-300)))
 

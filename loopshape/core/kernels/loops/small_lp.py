@@ -100,14 +100,14 @@ def linearised(
     cost = np.zeros(n + terms + 2)
     lows[:n], highs[:n], lows[n : n + terms], highs[n : n + terms] = low, high, np.inf, -np.inf
     cost[n : n + terms], cost[n + terms], cost[n + terms + 1] = -weights, 1.0, penalty
-    reach, farthest = np.zeros(terms), max(-low.min(), high.max())
+    largest, farthest = np.zeros(terms), max(-low.min(), high.max())
     for k in range(value.size):
-        reach[term[k]] = max(reach[term[k]], np.abs(slopes[k]).sum() * farthest)
+        largest[term[k]] = max(largest[term[k]], np.abs(slopes[k]).sum() * farthest)
         A[k, :n], A[k, n + term[k]], b[k] = -slopes[k], 1.0, value[k]
         lows[n + term[k]], highs[n + term[k]] = min(lows[n + term[k]], value[k]), max(highs[n + term[k]], value[k])
     for t in range(terms):
-        lows[n + t] -= reach[t] + 1.0
-        highs[n + t] += reach[t] + 1.0
+        lows[n + t] -= largest[t] + 1.0
+        highs[n + t] += largest[t] + 1.0
     row = value.size
     for k in range(m):
         if kept[k]:

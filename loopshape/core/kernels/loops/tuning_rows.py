@@ -37,7 +37,7 @@ class Out(NamedTuple):
 class Flat(NamedTuple):
     """The lines of all operating points: L, ln |L|, ln |S| and ln |P| (nf,), and ln |C| on the columns.
 
-    `line` (nf,) is the column of each line, `first` (points + 1,) where operating points begin, `led` (points,) how
+    `line` (nf,) is the column of each line, `first` (points + 1,) where operating points begin, `below` (points,) how
     many lines a model leads there. Above the last line C is known on columns `above` .. `above` + f_above.size. The
     squared norm of the weighted loop is |S|² (`own` + `by_C` |C|²), (nf,), or none where nothing is weighted.
     """
@@ -49,10 +49,10 @@ class Flat(NamedTuple):
     ln_S: Array  # noqa: N815
     ln_P: Array  # noqa: N815
     ln_C: Array  # noqa: N815
-    ln_reach: Array
+    ln_circle: Array
     line: np.ndarray
     first: np.ndarray
-    led: np.ndarray
+    below: np.ndarray
     f_above: Array
     above: int
     own: Array
@@ -94,7 +94,7 @@ def _sizes(x: Flat, kind: int, from_hz: float, mask: Array, out: Array) -> float
         for k in range(out.size):
             out[k] = ln_C[line[k]] + ln_S[k]
         if kind == SURE:
-            out += x.ln_reach
+            out += x.ln_circle
     elif kind == NORM:
         for k in range(out.size):
             out[k] = 0.5 * np.log(max(x.own[k] + _control_part(x, k), _TINY)) + x.ln_S[k]
@@ -225,7 +225,7 @@ def end_rows(
     for p in range(points):
         k = x.first[p + 1] - 1
         n = _put(out, n, q, k, p, -_SURE - x.ln_L[k], x.line[k], -1.0, x.line[k], 0.0)
-        k = x.first[p] + x.led[p]
+        k = x.first[p] + x.below[p]
         column = x.line[k]
         if blind[p]:
             ahead = x.L[k]

@@ -51,7 +51,7 @@ class Followed:
         return self.stride * self.tick_s
 
 
-def followed(recording: Recording, run: Run, longest_s: float | None = None) -> Followed:
+def simulated_along(recording: Recording, run: Run, longest_s: float | None = None) -> Followed:
     """A recording, or its first `longest_s` after the lead, for `answers`."""
     n = len(recording.columns["theta2_rad"])
     if longest_s is not None:

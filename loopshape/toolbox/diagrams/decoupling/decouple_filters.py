@@ -32,7 +32,7 @@ ALIKE = 0.01
 #: dampings of a filter's pole pairs; a real pair has one above 1
 DAMPINGS = (0.05, 20.0)
 #: poles lie within the band times this, either way
-ASIDE = 20.0
+FARTHER = 20.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,8 +202,8 @@ class _Stable:
         return np.stack(moved, axis=1)
 
     def bounds(self) -> tuple[Array, Array]:
-        """Numerators are free; poles lie within the band and `ASIDE` of it."""
-        free, w = np.full(self.order + 1, np.inf), np.log([self.low / self.w0 / ASIDE, self.high / self.w0 * ASIDE])
+        """Numerators are free; poles lie within the band and `FARTHER` of it."""
+        free, w = np.full(self.order + 1, np.inf), np.log([self.low / self.w0 / FARTHER, self.high / self.w0 * FARTHER])
         pairs = [(w[k], np.log(DAMPINGS[k])) for k in (0, 1)]
         low, high = (
             np.concatenate([sign * free, np.tile(pairs[k], self.order // 2), [w[k]] * (self.order % 2)])
@@ -218,8 +218,8 @@ class _Stable:
         guess = levy(f, wanted, 1.0 / np.sqrt(weight), self.order, self.order, iterations=20).poles() / self.w0
         spread = -np.geomspace(self.low, self.high, self.order + 2)[1:-1] / self.w0
         ends = low[self.order + 1 :] + 1e-6, high[self.order + 1 :] - 1e-6
-        begun = [np.clip(self._poles(one), *ends) for one in (guess, spread.astype(complex))]
-        found = [least_squares(self._left, one, bounds=ends, args=(wanted, weight)) for one in begun]
+        initial = [np.clip(self._poles(one), *ends) for one in (guess, spread.astype(complex))]
+        found = [least_squares(self._left, one, bounds=ends, args=(wanted, weight)) for one in initial]
         best = min(found, key=lambda one: one.cost).x
         return [np.concatenate([self._numerator(best, wanted, weight)[0], best])]
 

@@ -78,12 +78,12 @@ def export_controller(
     if whole is not None:
         output.say(f"the step from what is measured to what enters the plants: {whole}")
     keys = ("file", "loop", "digest", "precision", "sections", "moved_by_rounding_percent")
-    told = [dict(zip(keys, [str(path), *row[1:]], strict=True)) for path, row in zip(paths, rows, strict=True)]
+    answer = [dict(zip(keys, [str(path), *row[1:]], strict=True)) for path, row in zip(paths, rows, strict=True)]
     output.json(
         {
             "controllers": str(controller),
             "format": to,
-            "exported": told,
+            "exported": answer,
             "schedules": [written[one] for one in found if one not in controllers],
             "diagram": whole,
         }
@@ -163,5 +163,5 @@ def firmware(
     rows = [[block.kind, ", ".join(f"{k} {v:.6g}" for k, v in block.parameters.items())] for block in made.blocks]
     output.table(f"Loop {axis} of {of} in {out}", ["block", "parameters"], rows)
     output.warn(missing)
-    told = {"controller": str(out), "firmware": of, "axis": axis, "warnings": list(missing)}
-    output.json(told | {"blocks": made.blocks})
+    answer = {"controller": str(out), "firmware": of, "axis": axis, "warnings": list(missing)}
+    output.json(answer | {"blocks": made.blocks})

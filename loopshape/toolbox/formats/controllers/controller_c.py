@@ -116,8 +116,8 @@ def c_text(controller: Controller) -> str:
     """The header of a controller."""
     form, name = controller.number_format, identifier(controller.loop)
     fixed = {"N": form.fraction_bits, "limit": form.signal_limit}
-    said = [line.format(**fixed) for line in _SAID_FIXED] if form.fixed else [*_SAID_FLOATING]
-    head = "\n".join(f" * {line}".rstrip() for line in [*about(controller), "", *said])
+    notes = [line.format(**fixed) for line in _SAID_FIXED] if form.fixed else [*_SAID_FLOATING]
+    head = "\n".join(f" * {line}".rstrip() for line in [*about(controller), "", *notes])
     words = {"name": name, "UPPER": name.upper(), "n": len(controller.blocks), "kind": _kind(controller)}
     words |= {"zero": "0.0f" if form.name == "single" else "0.0", "feedback": _feedback(controller)}
     body = (_FIXED if form.fixed else _FLOATING).format(**words)

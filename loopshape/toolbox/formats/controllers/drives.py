@@ -39,17 +39,17 @@ class DriveLoop:
     reset_ms: bool = False
     by_motor: bool = False
 
-    def gains(self, given: Sequence[float]) -> tuple[float, float]:
+    def gains(self, parameters: Sequence[float]) -> tuple[float, float]:
         """P and I."""
         if self.by_motor:
-            bandwidth, inductance, resistance = given
+            bandwidth, inductance, resistance = parameters
             return bandwidth * inductance, bandwidth * resistance
-        p, i = (*given, 0.0)[:2]
+        p, i = (*parameters, 0.0)[:2]
         if self.reset_ms:
             return p, p / (_MS * i) if i > 0.0 else 0.0
         return p / self.per, i / self.per
 
-    def given(self, p: float, i: float) -> tuple[float, ...]:
+    def parameters(self, p: float, i: float) -> tuple[float, ...]:
         """The parameters of P and I; refuses loops whose gains follow from the motor."""
         if self.by_motor:
             raise WrongUseError(
@@ -108,7 +108,7 @@ def drive_parameters(controller: Controller, of: str) -> dict[str, float]:
     C = controller.response(controller.rate_hz * np.angle(z) / TWO_PI)
     p, i = np.linalg.solve(np.stack([np.ones(2), integral], axis=1), C).real
     i = float(i) if "pi" in kinds else 0.0
-    return dict(zip(law.names, law.given(float(p), i), strict=True))
+    return dict(zip(law.names, law.parameters(float(p), i), strict=True))
 
 
 def drive_text(controller: Controller, of: str) -> str:
@@ -116,7 +116,7 @@ def drive_text(controller: Controller, of: str) -> str:
     place = {"current": "motor"}.get(controller.loop, "controller")
     line = {"odrive": f"odrv0.axis0.{place}.config.{{}} = {{!r}}", "sercos": "{} = {!r}"}[of]
     rows = [line.format(name, value) for name, value in drive_parameters(controller, of).items()]
-    return "\n".join([*(f"# {said}" for said in about(controller)), *rows]) + "\n"
+    return "\n".join([*(f"# {note}" for note in about(controller)), *rows]) + "\n"
 
 
 def _loop(of: str, loop: str) -> tuple[bool, DriveLoop]:

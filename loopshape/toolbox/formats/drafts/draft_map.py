@@ -212,9 +212,9 @@ def write_draft(path: Path, draft: Draft, file: Path) -> None:
 
 def refuse_draft_of_another(map_file: Path, file: Path) -> None:
     """Refuse a map that stands under a draft's usual name and does not say that it is the draft of this file."""
-    told = read_toml(map_file).get("draft")
-    if not isinstance(told, dict) or told.get("sha256") != file_sha256(file):
-        of = f"a draft of {short(told.get('file'))}" if isinstance(told, dict) else "a map without [draft]"
+    draft = read_toml(map_file).get("draft")
+    if not isinstance(draft, dict) or draft.get("sha256") != file_sha256(file):
+        of = f"a draft of {short(draft.get('file'))}" if isinstance(draft, dict) else "a map without [draft]"
         raise WrongUseError(
             f"{map_file} is not the draft of this file", f"{of}, and {file}",
             f"remove it, name another (--draft), or delete [draft] in it and take it with --map {map_file}",
@@ -337,7 +337,7 @@ def _drafted(file: Path, layout: TextLayout | None, time: Time, signals: Sequenc
     guesses, questions = [*(layout.guesses if layout else ()), *time.guesses], [*time.open]
     if not time.rate_hz and not time.open:
         questions.append("no column rises as time does and no rate stands in the file: write rate_hz.")
-    stored, rules, said = _rules(signals)
+    stored, rules, notes = _rules(signals)
     named = {role: stored[name] for role, name in roles.by_role.items()}
     if Role.OUTPUT not in named and {Role.REFERENCE, Role.ERROR} <= set(named):
         named[Role.OUTPUT] = f"{named[Role.REFERENCE]} - {named[Role.ERROR]}"
@@ -358,7 +358,7 @@ def _drafted(file: Path, layout: TextLayout | None, time: Time, signals: Sequenc
         recording |= {"period_s": roles.period_rows / time.rate_hz, "periodic_from_s": roles.first_row / time.rate_hz}
     if not missing and Role.OUTPUT not in roles.by_role:  # what moved was not looked for: the output is no column
         recording |= {"injection": "reference", "closed_loop": True}
-    guesses += [*said, *roles.guesses]
+    guesses += [*notes, *roles.guesses]
     table: dict[str, Any] = {"format": FORMAT, "rate_hz": time.rate_hz or None, "time": time.rule}
     table |= {"resample": True if time.resample else None, "csv": _csv_table(layout)}
     table |= {"columns": rules, "loop": [loop], "recording": recording}
@@ -388,7 +388,7 @@ def _rules(signals: Sequence[Column]) -> tuple[dict[str, str], dict[str, Any], l
     """Stored name of each column, the table [columns], and a sentence on each unit."""
     stored: dict[str, str] = {}
     rules: dict[str, Any] = {}
-    unknown, bare, said = [], [], []
+    unknown, bare, notes = [], [], []
     short_of = _without_common_path([c.name for c in signals])
     for c in signals:
         unit = unit_of_word(c.unit) if c.unit else None
@@ -397,16 +397,16 @@ def _rules(signals: Sequence[Column]) -> tuple[dict[str, str], dict[str, Any], l
         elif not c.unit:
             bare.append(c.name)
         else:
-            said.append(f"{c.name!r} is in {unit}: {c.unit!r} stands with its name.")
+            notes.append(f"{c.name!r} is in {unit}: {c.unit!r} stands with its name.")
         unit = unit or "1"
         stored[c.name] = column_name(short_of[c.name], to_stored(unit)[0], set(rules))
         own = {} if c.own_time is None else {"time": c.own_time}
         rules[stored[c.name]] = place_table(c.place) | {"unit": unit} | own
     if bare:
-        said.append(f"no unit stands with {', '.join(bare)}: the numbers are taken as they are (unit 1).")
+        notes.append(f"no unit stands with {', '.join(bare)}: the numbers are taken as they are (unit 1).")
     if unknown:
-        said.append(f"units that are not known are taken as they are (unit 1): {', '.join(unknown)}.")
-    return stored, rules, said
+        notes.append(f"units that are not known are taken as they are (unit 1): {', '.join(unknown)}.")
+    return stored, rules, notes
 
 
 def _without_common_path(names: Sequence[str]) -> dict[str, str]:

@@ -201,9 +201,9 @@ def _by_differences(seen: _Seen, roles: Roles) -> None:
 def _by_answers(seen: _Seen, roles: Roles) -> None:
     """What the names leave open, by who moves by itself and who answers."""
     free = [name for name in seen.names if name not in roles.by_role.values()]
-    told = {name: seen.answered[name] for name in free if np.isfinite(seen.answered[name])}
-    alone = [name for name in told if seen.alone(name)]
-    driven = sorted((name for name in told if not seen.alone(name)), key=lambda name: -told[name])
+    decidable = {name: seen.answered[name] for name in free if np.isfinite(seen.answered[name])}
+    alone = [name for name in decidable if seen.alone(name)]
+    driven = sorted((name for name in decidable if not seen.alone(name)), key=lambda name: -decidable[name])
     outer = Role.INJECTED in roles.by_role or Role.REFERENCE in roles.by_role
     inner = [*driven, *(roles.by_role[role] for role in (Role.CONTROL, Role.OUTPUT) if role in roles.by_role)]
     moving = [] if outer or len(inner) < 2 else [name for name in alone if _moves(seen, name, inner)]
@@ -356,17 +356,17 @@ def _open_or_closed(seen: _Seen, roles: Roles) -> None:
     try:
         signals = seen.column(control), seen.column(output), None, _FALSE_ALARMS, repr(control)
         found = signal_feedback(*signals)
-        if not found.found and not seen.alone(control):
+        if not found.detected and not seen.alone(control):
             later = signal_feedback(*signals, later=True)
-            found = later if later.found else found
+            found = later if later.detected else found
     except LoopshapeError:
         found = None
-    if found is not None and found.found:
+    if found is not None and found.detected:
         roles.open.append(
             f"{control!r} answers noise of {output!r} (p = {found.probability:.1e}), so a loop was closed, and no"
             " column holds the signal that was injected or the reference that moved: record it too, and name it."
         )
-    elif found is not None and found.told:
+    elif found is not None and found.decidable:
         roles.guesses.append(
             f"the loop is taken for open: {found.sentence}; a loop without noise at the output shows no more, so please"
             " confirm."

@@ -131,29 +131,29 @@ def _by_stamps(stamps: Column) -> Time:
     if not unit:
         return Time(None, 0.0, False, (), stamps.name, (why,))
     t_s = long * UNITS[unit][1] * (stamps.values - stamps.values[0])
-    said = [f"time is {stamps.name!r}: its values rise{' and its name says so' if is_time(stamps.name) else ''}.", why]
+    notes = [f"time is {stamps.name!r}: its values rise{' and its name says so' if is_time(stamps.name) else ''}.", why]
     rule = place_table(stamps.place) | {"unit": unit} | ({"gain": long} if long > 1.0 else {})
     if stamps.place.clock:
-        said[1] = f"the stamps are text, read as {stamps.place.clock!r}."
+        notes[1] = f"the stamps are text, read as {stamps.place.clock!r}."
         rule["clock"] = stamps.place.clock
     mean = (t_s.size - 1) / t_s[-1]
     seen = read_stamps(t_s, 1.0 / (float(np.median(np.diff(t_s))) or 1.0 / mean))
     seen = read_stamps(t_s, seen.rate_hz if np.isfinite(seen.rate_hz) else mean)
     rate = _round_rate(seen.rate_hz, t_s.size, ON_GRID + seen.unsure)
-    said.append(
+    notes.append(
         f"rate {rate:.10g} Hz: all {t_s.size} stamps keep {seen.rate_hz:.8g} Hz, scatter {seen.jitter_s:.2g} s rms."
     )
     nominal = _nominal(rate)
     if seen.even and nominal != rate:
-        said[-1] = (
+        notes[-1] = (
             f"rate {nominal:.6g} Hz, to which the rows are brought: the stamps keep {seen.rate_hz:.8g} Hz, that rate"
             " by another clock."
         )
-        return Time(rule, nominal, True, tuple(said), stamps.name)
+        return Time(rule, nominal, True, tuple(notes), stamps.name)
     if not seen.even:
         rate = _round_rate(mean if seen.gaps == 0 else 1.0 / float(np.median(np.diff(t_s))), t_s.size, 0.01 * t_s.size)
-        said[-1] = f"the stamps are not even ({seen.gaps} gaps): resampled at {rate:.6g} Hz, linear across gaps."
-    return Time(rule, rate, not seen.even, tuple(said), stamps.name)
+        notes[-1] = f"the stamps are not even ({seen.gaps} gaps): resampled at {rate:.6g} Hz, linear across gaps."
+    return Time(rule, rate, not seen.even, tuple(notes), stamps.name)
 
 
 def _stamps(columns: Sequence[Column]) -> Column | None:

@@ -35,9 +35,9 @@ def write_frf_hdf5(path: Path, frf: FRF) -> tuple[str, ...]:
             file["frequency_hz"].attrs["unit"] = "Hz"
             for name in _LISTS:
                 file.create_dataset(name, data=list(header[name]), dtype=h5py.string_dtype())
-            told = {name: header[name] for name in _ALONE if header[name] is not None}
+            stated = {name: header[name] for name in _ALONE if header[name] is not None}
             made = {"format": FORMAT, "made_by": f"loopshape {__version__}", "header": json.dumps(header)}
-            for name, value in (told | made).items():
+            for name, value in (stated | made).items():
                 file.attrs[name] = str(value) if isinstance(value, str) else value
             for name in ("operating_point", "parameters"):
                 group = file.create_group(name)

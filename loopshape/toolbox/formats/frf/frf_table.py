@@ -70,7 +70,7 @@ def _places(path: Path, layout: TextLayout) -> dict[str, tuple[int, str]]:
     Analysers write a trace in several forms, each as a column: real and imaginary part go before magnitude and phase.
     Parts of two traces make a response where there is no more than one of each.
     """
-    columns = [_told(name, layout.units[k]) for k, name in enumerate(layout.names)]
+    columns = [_column(name, layout.units[k]) for k, name in enumerate(layout.names)]
     frequency = next((k for k, c in enumerate(columns) if c.kind == "frequency"), None)
     traces = list(dict.fromkeys(c.trace for c in columns if c.kind in (*_POLAR, *_CARTESIAN)))
     for parts, trace in product((_CARTESIAN, _POLAR), (*traces, None)):
@@ -91,7 +91,7 @@ def _places(path: Path, layout: TextLayout) -> dict[str, tuple[int, str]]:
 
 
 @dataclass(frozen=True)
-class _Told:
+class _Column:
     """What a column's title tells: its part ("" for none), its unit, and of which trace it is."""
 
     kind: str
@@ -99,7 +99,7 @@ class _Told:
     trace: tuple[str, ...]
 
 
-def _told(name: str, unit: str) -> _Told:
+def _column(name: str, unit: str) -> _Column:
     title, own = split_unit(name)
     unit = (unit or own).strip("[]() ").lower()
     words = [word for word in re.split(r"[^a-zα-ω0-9]+", title.lower()) if word]
@@ -107,7 +107,7 @@ def _told(name: str, unit: str) -> _Told:
         words, unit = [*words, unit], ""
     unit = "db" if "db" in words else unit or next((word for word in words if word in _PER_HZ), "")
     known = {word for some in _WORDS.values() for word in some}
-    return _Told(_kind(words, unit) or "", unit, tuple(word for word in words if word not in known))
+    return _Column(_kind(words, unit) or "", unit, tuple(word for word in words if word not in known))
 
 
 def _kind(words: Sequence[str], unit: str) -> str | None:

@@ -61,8 +61,8 @@ def read_touchstone(path: Path) -> ForeignFRF:
 def _refuse_keywords(lines: Sequence[str]) -> None:
     """Refuse what version 2 may say of another order or form of the rows than version 1 has."""
     for line in lines:
-        keyword, _, said = line[1:].partition("]")
-        if keyword not in _HARMLESS and (keyword, said.strip()) not in _AS_IN_1:
+        keyword, _, content = line[1:].partition("]")
+        if keyword not in _HARMLESS and (keyword, content.strip()) not in _AS_IN_1:
             raise ValueError(f"its rows are of version 2, and {line} changes them; save it as version 1")
 
 

@@ -131,9 +131,9 @@ def read_frf_uff(path: Path) -> ForeignFRF:
         own = {(pair[0], columns[0]): s for pair, s in coherences.items()}
         coherence = np.real(_matrix(path, own, rows, columns, f))
     words, notes = _words(frfs, rows, columns)
-    said = str(next(iter(frfs.values()))["id4"])
-    if said.startswith(FORMAT) and said != _format(response.shape):
-        raise UnreadableInputError(f"{path} is cut short or put together", said, "export it again")
+    stated = str(next(iter(frfs.values()))["id4"])
+    if stated.startswith(FORMAT) and stated != _format(response.shape):
+        raise UnreadableInputError(f"{path} is cut short or put together", stated, "export it again")
     others = len(sets) - len(frfs) - len(coherences)
     if others:
         notes.append(f"{others} functions of {path.name} are neither FRF nor coherence and were passed over")

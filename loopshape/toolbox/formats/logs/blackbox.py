@@ -230,7 +230,7 @@ def _refuse_headers(log: _Log) -> None:
 
 def _frame(log: _Log, raw: _Bytes) -> bool:
     """Read one frame, or pass over a byte that begins none; False at the log's end."""
-    begin, kind = raw.at, chr(raw.data[raw.at])
+    start_at, kind = raw.at, chr(raw.data[raw.at])
     raw.at += 1
     try:
         if kind == "E":
@@ -245,7 +245,7 @@ def _frame(log: _Log, raw: _Bytes) -> bool:
         if values is not None and not _follows(log, raw, values):
             raise ValueError("the frame is damaged")
     except (ValueError, IndexError):
-        raw.at, log.previous = begin + 1, None
+        raw.at, log.previous = start_at + 1, None
         return True
     if values is not None:
         log.before = values if kind == "I" else log.previous

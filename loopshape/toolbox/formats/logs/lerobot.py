@@ -84,8 +84,8 @@ def read_lists(path: Path) -> Lists:
     features, fps = info.get("features"), info.get("fps")
     signals: dict[str, tuple[str, int]] = {}
     for column, width in widths.items():
-        told = features.get(column) if isinstance(features, dict) else None
-        signals |= {name: (column, k) for k, name in enumerate(_entries(column, width, told))}
+        feature = features.get(column) if isinstance(features, dict) else None
+        signals |= {name: (column, k) for k, name in enumerate(_entries(column, width, feature))}
     closed = tuple(f"{name} (lists of several lengths, or over {_MOST_ENTRIES})" for name in lists if not widths[name])
     rate = float(fps) if isinstance(fps, int | float) and 0.0 < fps < np.inf else None
     return Lists(path, signals, closed, rate)

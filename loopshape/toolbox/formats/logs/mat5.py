@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.io.size_limit import inflated
-from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, Found, Handle, Node, Thing, is_model
+from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, Handle, MatContent, Node, Thing, is_model
 from loopshape.toolbox.formats.logs.mcos import Objects, handle_of
 
 _HEADER = 128
@@ -56,7 +56,7 @@ def _unpacked(path: Path, raw: bytes, order: str) -> Iterator[tuple[_Element, in
     """The variables of a file, each with the byte that it begins at."""
     grown, at = 0, _HEADER
     for element in _elements(memoryview(raw)[_HEADER:], order):
-        begin, at = at, at + 8 + len(element.data)
+        start_at, at = at, at + 8 + len(element.data)
         if element.kind == _COMPRESSED:
             unpacked = inflated(path, element.data, grown)
             grown += len(unpacked)
@@ -64,10 +64,10 @@ def _unpacked(path: Path, raw: bytes, order: str) -> Iterator[tuple[_Element, in
         else:
             at += -len(element.data) % 8
         if element.kind == _MATRIX:
-            yield element, begin
+            yield element, start_at
 
 
-def read_mat5_tree(path: Path) -> Found:
+def read_mat5_tree(path: Path) -> MatContent:
     """Signals of a file by name, those within structures, cells, tables and objects among them.
 
     Raises `ValueError` for a file that is damaged or of another version; `zlib.error` and `struct.error` too.
@@ -83,7 +83,7 @@ def read_mat5_tree(path: Path) -> Found:
         elif name:
             variables.append((name, node))
     things = _objects(kept, path) if isinstance(kept, np.ndarray) else None
-    found = Found(np.asarray, _no_objects if things is None else things.of)
+    found = MatContent(np.asarray, _no_objects if things is None else things.of)
     for name, node in variables:
         found.add(name, node)
     return found

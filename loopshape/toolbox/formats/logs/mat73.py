@@ -15,7 +15,7 @@ from loopshape.core.stretches import LONG, LongSignal
 from loopshape.core.units import Array
 from loopshape.io.files import reading
 from loopshape.io.size_limit import check_growth
-from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, Found, Node, Thing, is_model
+from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, MatContent, Node, Thing, is_model
 from loopshape.toolbox.formats.logs.mcos import Objects, handle_of
 
 _KIND = "MAT v7.3"
@@ -23,13 +23,13 @@ _MOST_NODES = 200_000
 _MOST_LETTERS = 4096
 
 
-def read_mat73(path: Path) -> Found:
+def read_mat73(path: Path) -> MatContent:
     """Signals of a file by name: datasets by their path in it, and arrays that objects state without storing them."""
     import h5py
 
     with reading(path, _KIND), h5py.File(path, "r") as file:
         tree = _Tree(path, file)
-        found = Found(tree.load, tree.things)
+        found = MatContent(tree.load, tree.things)
         for name in file:
             if not name.startswith("#") and _lies_here(file, name):
                 found.add(name, tree.node(file[name], 0))
@@ -147,8 +147,8 @@ def _is_list(member: Any) -> bool:
 
 
 def _word(member: Any, name: str) -> str:
-    said = member.attrs.get(name, b"")
-    return said.decode("ascii", "replace") if isinstance(said, bytes) else str(said)
+    value = member.attrs.get(name, b"")
+    return value.decode("ascii", "replace") if isinstance(value, bytes) else str(value)
 
 
 def _lies_here(group: Any, key: str) -> bool:

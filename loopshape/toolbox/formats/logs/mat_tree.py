@@ -56,7 +56,7 @@ class Thing:
 
 
 @dataclass
-class Found:
+class MatContent:
     """Signals of a file by name (arrays, or datasets loaded later), their units, and objects that stay closed."""
 
     load: Callable[[Node], np.ndarray]
@@ -150,11 +150,11 @@ class Found:
         self.arrays[TIME_OF + name] = t_s
         self.units[TIME_OF + name] = "s"
 
-    def _unit(self, name: str, said: Node) -> None:
+    def _unit(self, name: str, stated: Node) -> None:
         """The unit of a signal, as text or as Simulink's object of it."""
-        said = self._members(said).get("Name", said) if isinstance(said, Handle) else said
-        if isinstance(said, str) and said and unit_of_word(said) in UNITS:
-            self.units[name] = said
+        stated = self._members(stated).get("Name", stated) if isinstance(stated, Handle) else stated
+        if isinstance(stated, str) and stated and unit_of_word(stated) in UNITS:
+            self.units[name] = stated
 
     def _table(self, name: str, table: Mapping[str, Node], names_key: str, units_key: str) -> None:
         """Columns of numbers of a table, and the stamps of its rows where it has some."""
@@ -176,17 +176,17 @@ class Found:
                 self.units[own] = "s"
             self._unit(own, units[k] if k < len(units) else None)
 
-    def _row_times(self, said: Node, rows: Node) -> np.ndarray | None:
+    def _row_times(self, stated: Node, rows: Node) -> np.ndarray | None:
         """Stamps in s of a duration or a datetime (since 1970), or of a step or rate that a structure states."""
-        if isinstance(said, Handle):
-            inner = self._members(said)
+        if isinstance(stated, Handle):
+            inner = self._members(stated)
             node = next((inner[key] for key in ("millis", "data") if key in inner), None)
             return None if node is None else np.real(self.load(node)).ravel().astype(float) / 1e3
-        if not isinstance(said, dict) or rows is None:
+        if not isinstance(stated, dict) or rows is None:
             return None
-        start = self._row_times(said.get("origin"), None)
-        rate, step = said.get("sampleRate"), self._row_times(said.get("stepSize"), None)
-        every = 1.0 / self._number(rate) if self._number(said.get("specifiedAsRate")) or step is None else step[0]
+        start = self._row_times(stated.get("origin"), None)
+        rate, step = stated.get("sampleRate"), self._row_times(stated.get("stepSize"), None)
+        every = 1.0 / self._number(rate) if self._number(stated.get("specifiedAsRate")) or step is None else step[0]
         return float(start[0] if start is not None else 0.0) + every * np.arange(int(self._number(rows)))
 
     def _members(self, node: Node) -> Mapping[str, Node]:
@@ -224,7 +224,7 @@ def _even_times(info: Mapping[str, Node], number: Callable[[Node], float]) -> np
     return start + step * np.arange(int(length)) if np.isfinite(start + step + length) and length > 0 else None
 
 
-def refuse_closed(path: Path, found: Found) -> None:
+def refuse_closed(path: Path, found: MatContent) -> None:
     """Refuse a file whose signals all lie in objects that stay closed: Simulink's records, MATLAB's models."""
     if found.closed and not found.arrays:
         if all(is_model(one.rpartition("(")[2].rstrip(")")) for one in found.closed):

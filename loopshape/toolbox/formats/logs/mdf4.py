@@ -78,14 +78,14 @@ def _opened(path: Path) -> Any:
         ) from None
     with reading(path, "MDF"):
         path.open("rb").close()
-    said = ""
+    message = ""
     try:
         return MDF(path)
     except Exception as error:  # of any kind: a damaged file ends in whatever the line of asammdf that met it raised
-        said = short(error) or type(error).__name__
+        message = short(error) or type(error).__name__
     with _no_last_words():
         gc.collect()
-    raise UnreadableInputError(f"{path} cannot be read as MDF", said, "it is damaged or of another kind")
+    raise UnreadableInputError(f"{path} cannot be read as MDF", message, "it is damaged or of another kind")
 
 
 @contextmanager

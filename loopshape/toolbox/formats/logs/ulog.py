@@ -31,8 +31,8 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
         raise UnreadableInputError(
             "a ULog file needs pyulog", path.name, "install it: pip install 'loopshape[ulog]'"
         ) from None
-    said = contextlib.redirect_stdout(io.StringIO())  # pyulog prints what it meets
-    with reading(path, "ULog", Exception), said, path.open("rb") as file:
+    output = contextlib.redirect_stdout(io.StringIO())  # pyulog prints what it meets
+    with reading(path, "ULog", Exception), output, path.open("rb") as file:
         log = ULog(file)
         check_growth(path, sum(values.nbytes for topic in log.data_list for values in topic.data.values()))
     if not log.data_list:

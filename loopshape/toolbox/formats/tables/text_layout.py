@@ -188,9 +188,9 @@ def _layout(lines: Sequence[str], rows: _Rows, encoding: str) -> TextLayout:
     )
     guesses = tuple(_sentences(rows, shape, named, units_at, encoding))
     clocks = tuple("" if _is_value(cell, rows.decimal) else clock_of(cell) for cell in rows.cells)
-    said = [f"{name}: {cell}" for name, cell in zip(names, units, strict=True) if _is_value(cell, rows.decimal)]
+    notes = [f"{name}: {cell}" for name, cell in zip(names, units, strict=True) if _is_value(cell, rows.decimal)]
     units = tuple("" if _is_value(cell, rows.decimal) and cell != "1" else cell for cell in units)
-    return TextLayout(shape, names, units, clocks, (*lines[: rows.start], *said), guesses)
+    return TextLayout(shape, names, units, clocks, (*lines[: rows.start], *notes), guesses)
 
 
 def _heads(lines: Sequence[str], rows: _Rows) -> dict[int, tuple[str, ...]]:
@@ -223,12 +223,12 @@ def _beside(lines: Sequence[str], word: re.Pattern[str], width: int) -> tuple[st
 
 def _pairs(heads: Mapping[int, Sequence[str]]) -> tuple[tuple[str, ...], tuple[str, ...], bool] | None:
     """Names and units where each channel has its time beside it, with a word in the time's column; None otherwise."""
-    said = {cells[0].lower(): cells[1::2] for cells in heads.values() if len(cells) > 3 and _all_alike(cells[0::2])}
-    names = next((rest for word, rest in said.items() if _NAME_LINE.search(word)), None)
+    notes = {cells[0].lower(): cells[1::2] for cells in heads.values() if len(cells) > 3 and _all_alike(cells[0::2])}
+    names = next((rest for word, rest in notes.items() if _NAME_LINE.search(word)), None)
     if names is None:
         return None
-    units = next((rest for word, rest in said.items() if _UNIT_LINE.search(word)), ("",) * len(names))
-    stamp = next((found[1] for word in said if (found := _PERIOD_UNIT.search(word))), "")
+    units = next((rest for word, rest in notes.items() if _UNIT_LINE.search(word)), ("",) * len(names))
+    stamp = next((found[1] for word in notes if (found := _PERIOD_UNIT.search(word))), "")
     columns = [(TIME_OF + name, stamp, name, unit) for name, unit in zip(names, units, strict=True)]
     return tuple(x for c in columns for x in c[0::2]), tuple(x for c in columns for x in c[1::2]), False
 
@@ -251,18 +251,18 @@ def _look_like_units(cells: Sequence[str]) -> bool:
 
 def _sentences(rows: _Rows, shape: CsvShape, named: int | None, units_at: int | None, encoding: str) -> list[str]:
     every = f"{rows.count} lines looked at have {len(rows.cells)} cells of numbers with it"
-    said = [f"separator {_NAMED[rows.separator]}, decimal sign {rows.decimal!r}: {every}."]
+    notes = [f"separator {_NAMED[rows.separator]}, decimal sign {rows.decimal!r}: {every}."]
     if named is None:
-        said.append(f"no header: the first row of numbers is line {rows.start + 1}, and no line of names stands above.")
+        notes.append(f"no header: the first row of numbers is line {rows.start + 1}, and no line of names is above.")
     else:
         by = (
             "columns are picked by name"
             if shape.header
             else "columns are picked by number (names repeat or are a remark)"
         )
-        said.append(f"line {named + 1} is the header: {by}.")
+        notes.append(f"line {named + 1} is the header: {by}.")
     if units_at is not None:
-        said.append(f"line {units_at + 1} is a row of units.")
+        notes.append(f"line {units_at + 1} is a row of units.")
     if encoding != "utf-8-sig":
-        said.append(f"encoding {encoding}: the text is no UTF-8.")
-    return said
+        notes.append(f"encoding {encoding}: the text is no UTF-8.")
+    return notes

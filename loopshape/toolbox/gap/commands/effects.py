@@ -48,8 +48,8 @@ def effects(
         output.say("\n".join(drawn))
     cells = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
     own = [{"unit": form.unit, "quantity": form.quantity or None} for form in forms]
-    told = [row | words for row, words in zip(cells, own, strict=True)]
-    output.json({"plant": plant, "forms": told, "figures": drawn})
+    answer = [row | words for row, words in zip(cells, own, strict=True)]
+    output.json({"plant": plant, "forms": answer, "figures": drawn})
 
 
 def catalogue_rows(forms: Iterable[EffectForm]) -> list[list[Any]]:

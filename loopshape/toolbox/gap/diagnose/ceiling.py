@@ -18,7 +18,7 @@ from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.fitting import weights
 from loopshape.toolbox.gap.diagnose.shrink import windows
 from loopshape.toolbox.gap.nouns.gap_report import Curve
-from loopshape.toolbox.gap.nouns.plant import Followable, Shapes
+from loopshape.toolbox.gap.nouns.plant import Shapes, SimulationModel
 
 #: ridge weights that are tried, as shares of a shape's own information
 RIDGES = 10.0 ** np.arange(-6.0, 2.1)
@@ -48,7 +48,7 @@ class Ceiling:
 class Nameless:
     """Ceilings by place, the one that leaves least first, and the shapes they are made of."""
 
-    plant: Followable
+    plant: SimulationModel
     shapes: Shapes
     ceilings: tuple[Ceiling, ...]
     moves: Mapping[str, float]

@@ -24,7 +24,7 @@ from loopshape.toolbox.gap.diagnose.fitting import Fitted
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 from loopshape.toolbox.gap.nouns.effect import EffectForm
 from loopshape.toolbox.gap.nouns.gap_report import SMALLEST_GAP
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
 ONE_EFFECT, TWO_EFFECTS = 1.0, 3.975  # the second what it cost development arms of eight recordings
@@ -160,7 +160,7 @@ def discrepancy(of: Sequence[str], explanations: Sequence[Array]) -> Array:
 _EXPLAINED, _NOT_FITTED = 3.0, 5.0
 
 
-def healthy_prior(plant: Followable) -> float:
+def healthy_prior(plant: SimulationModel) -> float:
     """Energy of `none` below 0: it has the prior of all effects together, however many a machine has.
 
     With a fixed price each, a catalogue twice as large would make a healthy machine half as probable (multiplicity:
@@ -192,7 +192,7 @@ def probabilities(energies: Mapping[str, float]) -> dict[str, float]:
     return dict(zip(names, (weights / weights.sum()).tolist(), strict=True))
 
 
-def judged(
+def decided(
     probabilities: Mapping[str, float],
     pairs: Collection[str],
     before: float,

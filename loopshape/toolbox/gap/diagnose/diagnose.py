@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,7 +31,7 @@ from loopshape.toolbox.gap.nouns.gap_report import (
     Where,
     percent,
 )
-from loopshape.toolbox.gap.nouns.plant import Followable, Statable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
 from loopshape.toolbox.gap.recordings import locate
 from loopshape.toolbox.gap.recordings.next_experiment import propose
 from loopshape.toolbox.gap.recordings.next_recording import repeat
@@ -39,7 +39,6 @@ from loopshape.toolbox.gap.recordings.replay import tables as _tables
 from loopshape.toolbox.gap.recordings.software import software_check
 from loopshape.toolbox.gap.recordings.suitable import comparable, suitable
 
-Say = Callable[[str], None]
 PERIODIC_S = 10.0  # of a recording that repeats itself so much tells all
 BRIEF_S = 12.0  # of every recording, for a first look at all forms
 REFINED = 4  # single effects whose slopes are all taken anew
@@ -92,12 +91,12 @@ class Attribution:
 
 
 def attribute_effect(
-    plant: Followable,
+    plant: SimulationModel,
     run: Run,
     names: Sequence[str],
     *,
     threads: int | None,
-    say: Say,
+    say: windows.Log,
     baseline: Run | None = None,
 ) -> Attribution:
     """Fit every effect in every form to the recordings named, then pairs if one effect is not enough.
@@ -108,14 +107,14 @@ def attribute_effect(
     evidence = Evidence.of(plant, run, names, PERIODIC_S, threads)
     brief = Evidence.of(plant, run, names, PERIODIC_S, threads, BRIEF_S)
     say("healthy machine")
-    rough = attribute.healthy(brief)
-    healthy = attribute.again(evidence, rough, rounds=2)
+    first_pass = attribute.healthy(brief)
+    healthy = attribute.again(evidence, first_pass, rounds=2)
     none = decide.candidate(evidence, healthy, healthy)
     say("what a nameless force would explain")
     found = nameless(evidence, healthy.hypothesis.moves(healthy.phi), healthy.residual)
     reached = found.reached if found else None
     say("single effects")
-    coarse = attribute.screened(brief, candidates(plant), rough)
+    coarse = attribute.screened(brief, candidates(plant), first_pass)
     best = attribute.best_forms(coarse)
     say("best effects")
     fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(attribute.within_reach(best[:REFINED]), coarse)]
@@ -193,14 +192,14 @@ _NEAR = 6.0
 
 
 def diagnose(
-    plant: Followable,
+    plant: SimulationModel,
     run: Run,
     name: str,
     *,
     baseline: Run | None = None,
     threads: int | None = None,
     table: bool = True,
-    say: Say = lambda step: None,
+    say: windows.Log = lambda step: None,
 ) -> GapReport:
     """The whole diagnosis of a run. What its recordings cannot tell stands in the report's notes.
 
@@ -209,11 +208,11 @@ def diagnose(
     answer misleads where a gap comes from something outside the catalogue that looks like a member of it: see
     `ambiguity` and `unknown`.
     """
-    told: list[str] = []
+    differences: list[str] = []
     if baseline is not None:
-        told, baseline = comparable(plant, run, baseline)
+        differences, baseline = comparable(plant, run, baseline)
     notes, usable = suitable(plant, run)
-    notes += told
+    notes += differences
     stated = plant.stated if isinstance(plant, Statable) else frozenset[str]()
     estimation = [r for r in usable if r.info.role == "estimation"]
     validation = [r for r in usable if r.info.role == "validation"]
@@ -224,7 +223,7 @@ def diagnose(
     plant = a.evidence.plant  # with the run's own nominal numbers
     say("held-out recordings")
     if validation:
-        a = _judged(a, run, validation)
+        a = _decided(a, run, validation)
     chosen, rival = a.leading.fitted, a.rival
     many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
     every = shrink.levels(plant, run, usable, many)
@@ -270,14 +269,14 @@ def diagnose(
     )
 
 
-def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
+def _decided(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
     """With a budget by recordings that no fit saw, and judged again by them where prices are not calibrated."""
     plant = a.evidence.plant
     prepared = [plant.prepare(r, run, None) for r in held_out]
     ceilings = a.nameless.held_out(prepared, a.none.fitted.hypothesis.moves(a.none.fitted.phi)) if a.nameless else {}
     channels = tuple(dict.fromkeys(c.channel for c in a.evidence.cells)) * len(held_out)
     found: dict[str, Array] = {}
-    wanted = ["none", *(_leaders(a) if a.nameless is None else _followed(a))]
+    wanted = ["none", *(_leaders(a) if a.nameless is None else _tracked(a))]
     while new := [n for n in wanted if n not in found]:
         moves = [c.fitted.hypothesis.moves(c.fitted.phi) for c in (a.scored[n] for n in new)]
         found |= dict(zip(new, (level.squares for level in shrink.levels(plant, run, held_out, moves)), strict=True))
@@ -300,11 +299,11 @@ def _judged(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribut
         main = next((told_apart.main_effect(a.evidence, a.scored[n]) for n in leading if n in pairs), None)
         main = main if main in a.scored else None
     known = bool(a.evidence.least.all())
-    found_out = decide.judged(a.probabilities, pairs, sizes["none"], after, ceiling, matters, main, known=known)
+    found_out = decide.decided(a.probabilities, pairs, sizes["none"], after, ceiling, matters, main, known=known)
     return replace(a, probabilities=found_out)
 
 
-def _followed(a: Attribution) -> list[str]:
+def _tracked(a: Attribution) -> list[str]:
     """Names that are followed on held-out recordings: the leaders, and others as long as they are probable."""
     leaders = _leaders(a)
     others = [n for n, p in a.probabilities.items() if p >= _RARE and n in a.scored and n not in ("none", *leaders)]
@@ -405,7 +404,7 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
     )
 
 
-def _traces(plant: Followable, run: Run, recordings: Sequence[Recording], many: Sequence[Moves]) -> list[Trace]:
+def _traces(plant: SimulationModel, run: Run, recordings: Sequence[Recording], many: Sequence[Moves]) -> list[Trace]:
     """For each recording measured, nominal and with the effect."""
     out = []
     for r in recordings:

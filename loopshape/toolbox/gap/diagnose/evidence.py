@@ -17,7 +17,7 @@ import numpy as np
 from loopshape.core.units import Array
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.gap_report import SMALLEST_GAP
-from loopshape.toolbox.gap.nouns.plant import Followable, Statable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
 
 Moves = Mapping[str, float]
 
@@ -42,7 +42,7 @@ class Cell:
 class Evidence:
     """Recordings of one role, ready to be followed. `residuals` is the only thing that costs time; it counts itself."""
 
-    plant: Followable
+    plant: SimulationModel
     prepared: Sequence[Any]
     threads: int
     cells: tuple[Cell, ...] = ()
@@ -52,7 +52,7 @@ class Evidence:
     @classmethod
     def of(
         cls,
-        plant: Followable,
+        plant: SimulationModel,
         run: Run,
         names: Sequence[str],
         periodic_s: float,
@@ -124,7 +124,7 @@ class Evidence:
 _REMEMBERED = 64
 
 
-def least(plant: Followable, channels: Sequence[str]) -> Array:
+def least(plant: SimulationModel, channels: Sequence[str]) -> Array:
     """Mean squares (cells,) below which nothing is left to explain, by the cells' channels.
 
     What a good model leaves has a form that names would take up, and differs from recording to recording: up to
@@ -134,7 +134,7 @@ def least(plant: Followable, channels: Sequence[str]) -> Array:
     return np.array([SMALLEST_GAP**2 if channel in stated else 0.0 for channel in channels])
 
 
-def _cells(prepared: Sequence[Any], plant: Followable, rows: Sequence[Mapping[str, Array]]) -> tuple[Cell, ...]:
+def _cells(prepared: Sequence[Any], plant: SimulationModel, rows: Sequence[Mapping[str, Array]]) -> tuple[Cell, ...]:
     out: list[Cell] = []
     at = 0
     for p, row in zip(prepared, rows, strict=True):

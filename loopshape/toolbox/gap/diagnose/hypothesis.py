@@ -11,14 +11,14 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.toolbox.gap.nouns.effect import EffectForm
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
     """No form is the healthy machine. Numbers phi: what the forms free, in order, then the spread in -1..1."""
 
-    plant: Followable
+    plant: SimulationModel
     forms: tuple[EffectForm, ...] = ()
 
     @property
@@ -83,7 +83,7 @@ class Hypothesis:
         return out
 
 
-def candidates(plant: Followable, base: Sequence[EffectForm] = ()) -> list[Hypothesis]:
+def candidates(plant: SimulationModel, base: Sequence[EffectForm] = ()) -> list[Hypothesis]:
     """One hypothesis a form of the catalogue, each beside the forms of `base`, whose effects do not repeat."""
     taken = {f.effect for f in base}
     return [Hypothesis(plant, (*base, f)) for f in plant.effects if f.effect not in taken]

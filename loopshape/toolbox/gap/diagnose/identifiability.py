@@ -11,7 +11,7 @@ from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.fitting import Fitted
 from loopshape.toolbox.gap.diagnose.hypothesis import candidates
 from loopshape.toolbox.gap.nouns.gap_report import Visible
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 ALIKE = 0.95  # cosine from which two effects are one to these recordings
 BRIEF_S = 12.0  # of every recording
@@ -19,7 +19,7 @@ _HOLD = 1.0 / 3.0  # inverse variance of a tolerance that is uniform in -1..1, o
 
 
 def identifiability(
-    plant: Followable, run: Run, threads: int | None = None, say: windows.Say = lambda step: None
+    plant: SimulationModel, run: Run, threads: int | None = None, say: windows.Log = lambda step: None
 ) -> list[Visible]:
     """How small each effect may be to be seen in the recordings for estimation, and which others it looks like.
 

@@ -14,7 +14,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose.evidence import Moves
 from loopshape.toolbox.gap.nouns.gap_report import SMALLEST_GAP, BudgetPart, BudgetStep, Shrink, Submodel
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 METRIC = "rms over the submodels' paths of measured less simulated outputs, each relative to its noise floor"
 WINDOWS = 8  # a recording is cut into so many for the bootstrap
@@ -36,7 +36,7 @@ class Levels:
         return float(np.sqrt(self.squares.mean()))
 
 
-def levels(plant: Followable, run: Run, recordings: Sequence[Recording], many: Sequence[Moves]) -> list[Levels]:
+def levels(plant: SimulationModel, run: Run, recordings: Sequence[Recording], many: Sequence[Moves]) -> list[Levels]:
     """Levels under each set of moved parameters."""
     prepared = [plant.prepare(r, run, None) for r in recordings]
     with ThreadPoolExecutor() as pool:

@@ -22,7 +22,7 @@ class Scale:
     evidence: Evidence
     left: Array
 
-    def told(self, of: Candidate) -> Array:
+    def log_ratio(self, of: Candidate) -> Array:
         """Logarithm (cells,) of what an explanation leaves of recordings left out, in units of what the best leaves."""
         return np.asarray(np.log1p(np.maximum(of.left.squares, self.evidence.least) / self.left))
 
@@ -37,7 +37,7 @@ class Scale:
         differing = self.evidence.mean_squares(one.fitted.residual - other.fitted.residual)
         if np.mean(differing / self.left) >= 1.0:
             return True
-        by_cell = self.told(other) - self.told(one)
+        by_cell = self.log_ratio(other) - self.log_ratio(one)
         of = np.array([c.recording for c in self.evidence.cells])
         rows = np.array([by_cell[of == name].sum() for name in self.evidence.recordings])
         error = float(rows.std(ddof=1) * np.sqrt(rows.size)) if rows.size > 1 else float("inf")
@@ -71,7 +71,7 @@ def by_recording(scale: Scale, scored: Mapping[str, Candidate]) -> dict[str, str
     """
     single = {n: c for n, c in scored.items() if len(c.fitted.hypothesis.forms) < 2}
     of = np.array([c.recording for c in scale.evidence.cells])
-    left = {n: scale.told(c) for n, c in single.items()}
+    left = {n: scale.log_ratio(c) for n, c in single.items()}
     return {r: min(left, key=lambda n: float(left[n][of == r].sum())) for r in scale.evidence.recordings}
 
 

@@ -11,19 +11,17 @@ from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose import attribute
 from loopshape.toolbox.gap.diagnose.ceiling import nameless
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
-from loopshape.toolbox.gap.nouns.plant import Followable, Statable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
 
 FIRST_S, SHORTEST_S, LONGEST_S = 0.2, 0.025, 25.6
 LOOK_WINDOWS, LOOK_S = 5.0, 3.0  # of each recording: so many windows, or seconds if these are more
 TICKS = 20  # of the slowest recording, in a window
-
-
-Say = Callable[[str], None]
+Log = Callable[[str], None]
 
 
 def chosen(
-    plant: Followable, run: Run, names: Sequence[str], threads: int | None, say: Say, baseline: Run | None = None
-) -> Followable:
+    plant: SimulationModel, run: Run, names: Sequence[str], threads: int | None, say: Log, baseline: Run | None = None
+) -> SimulationModel:
     """The plant with the window in which a nameless push at one place takes most of the gap away.
 
     Short windows show little beside the noise, in long ones a model runs away for reasons of its own: from 0.2 s the
@@ -34,24 +32,26 @@ def chosen(
     if windowed is None or not getattr(plant, "open_window", False):
         return against(plant, baseline, threads, say)
     least = max(SHORTEST_S, TICKS / min(run.recording(name).rate_hz for name in names))
-    told: dict[float, float] = {}
+    gains: dict[float, float] = {}
 
     def look(window_s: float) -> float:
-        if window_s not in told:
+        if window_s not in gains:
             say(f"windows of {window_s:g} s")
             allowed = least <= window_s <= LONGEST_S
-            told[window_s] = _told(windowed(window_s), window_s, run, names, threads, baseline) if allowed else -np.inf
-        return told[window_s]
+            gains[window_s] = _gain(windowed(window_s), window_s, run, names, threads, baseline) if allowed else -np.inf
+        return gains[window_s]
 
     best = max(FIRST_S, float(least))
     way = 2.0 if look(2.0 * best) > look(best) else 0.5
     while look(way * best) > look(best):
         best *= way
-    tried = tuple(sorted(w for w, gain in told.items() if np.isfinite(gain)))
+    tried = tuple(sorted(w for w, gain in gains.items() if np.isfinite(gain)))
     return against(windowed(best, tried), baseline, threads, say)
 
 
-def against(plant: Followable, baseline: Run | None, threads: int | None, say: Say = lambda step: None) -> Followable:
+def against(
+    plant: SimulationModel, baseline: Run | None, threads: int | None, say: Log = lambda step: None
+) -> SimulationModel:
     """The plant whose floors are what it leaves of a machine known to be good, tolerances fitted there too."""
     if baseline is None or not isinstance(plant, Statable):
         return plant
@@ -65,8 +65,8 @@ def against(plant: Followable, baseline: Run | None, threads: int | None, say: S
     return plant.leaving(plant.left(evidence.prepared, good.hypothesis.moves(good.phi)))
 
 
-def _told(
-    plant: Followable, window_s: float, run: Run, names: Sequence[str], threads: int | None, baseline: Run | None
+def _gain(
+    plant: SimulationModel, window_s: float, run: Run, names: Sequence[str], threads: int | None, baseline: Run | None
 ) -> float:
     """Mean over cells of the logarithm of the gap over what a nameless push leaves; -inf where nothing can be told."""
     try:

@@ -28,7 +28,7 @@ from loopshape.toolbox.gap.mechanism.numbers import (
     with_point,
 )
 from loopshape.toolbox.gap.mechanism.standalone import function_file, numbers_of
-from loopshape.toolbox.gap.nouns.effect import AttributeChange, Fix, LeftToYou, NumberChange, Unsaid
+from loopshape.toolbox.gap.nouns.effect import AttributeChange, Fix, LeftToYou, NotWritten, NumberChange
 from loopshape.toolbox.gap.nouns.machine import Mechanism, Model, Port
 from loopshape.toolbox.gap.own.composed import CHANGE, INPUT, OUTPUT, PORT
 
@@ -40,16 +40,16 @@ _POINT_M = 1e-4  # radius of a payload's geom: a point, as it was fitted
 def in_files(fix: Fix, model: Model, mechanism: Mechanism | None) -> Fix:
     """The fix with a patched copy of a MuJoCo model and a function of what is not in it, without one of everything."""
     fix = replace(fix, parameters=_merged(fix.parameters, model))
-    left = {c.parameter: Unsaid.NO_ATTRIBUTE for c in fix.parameters}
+    left = {c.parameter: NotWritten.NO_ATTRIBUTE for c in fix.parameters}
     if mechanism is not None:
         patch = _Patch(mechanism, model, {c.parameter: c.new for c in fix.parameters})
         exact = patch.is_exact()
-        left = patch.left if exact else dict.fromkeys(left, Unsaid.REFUSED)
-        if patch.said and exact:
+        left = patch.left if exact else dict.fromkeys(left, NotWritten.REFUSED)
+        if patch.written and exact:
             fix = replace(fix, file=MODEL_FILE, texts={MODEL_FILE: patch.xml()}, assets=patch.assets,
                           attributes=tuple(patch.attributes()))  # fmt: skip
         fix = replace(fix, left_to_you=tuple(LeftToYou(name, reason) for name, reason in left.items()))
-    own = {name for name, reason in left.items() if reason != Unsaid.SHARPER}
+    own = {name for name, reason in left.items() if reason != NotWritten.SHARPER}
     if not own:
         return fix
     return replace(fix, function=FUNCTION_FILE, texts={**fix.texts, FUNCTION_FILE: function_file(fix, model, own)})
@@ -90,8 +90,8 @@ class _Patch:
 
     def __init__(self, mechanism: Mechanism, model: Model, moves: Mapping[str, float]) -> None:
         self.of, self.moves = Numbers(mechanism), moves
-        self.said: set[str] = set()
-        self._unsaid: dict[str, Unsaid] = {}
+        self.written: set[str] = set()
+        self._not_written: dict[str, NotWritten] = {}
         kinds = {f"{k.name}_{n.name}" for k in mechanism.kinds for n in k.numbers}
         self.p = {n: moves.get(n, v) for n, v in model.values().items() if n not in kinds}
         held = {k: v for port in model.ports for k, v in self._at_the_motor(port).items()}
@@ -116,8 +116,8 @@ class _Patch:
             return
         names = [f"{edit.at}.{name}.{key}" for key in (edit.key, *edit.also)]
         self._write([*names, *(held if edit.key == "inertia" else ())], lambda spec: edit.change(spec, name, n))
-        if names[0] in self.said:
-            self._unsaid |= {f"{edit.at}.{name}.{key}": Unsaid.SHARPER for key in edit.sharper}
+        if names[0] in self.written:
+            self._not_written |= {f"{edit.at}.{name}.{key}": NotWritten.SHARPER for key in edit.sharper}
 
     def _write(self, names: Iterable[str], change: Callable[[Any], None]) -> None:
         """Change a copy, and keep it if it compiles; an attribute that this MuJoCo does not have yet is none."""
@@ -128,15 +128,15 @@ class _Patch:
         except AttributeError:
             return
         except ValueError:
-            self._unsaid |= dict.fromkeys(moved, Unsaid.REFUSED)
+            self._not_written |= dict.fromkeys(moved, NotWritten.REFUSED)
             return
         self.spec = trial
-        self.said |= {*moved}
+        self.written |= {*moved}
 
     @property
-    def left(self) -> dict[str, Unsaid]:
+    def left(self) -> dict[str, NotWritten]:
         """Parameters that moved and that the copy does not hold."""
-        return {n: self._unsaid.get(n, Unsaid.NO_ATTRIBUTE) for n in self.moves if n not in self.said}
+        return {n: self._not_written.get(n, NotWritten.NO_ATTRIBUTE) for n in self.moves if n not in self.written}
 
     def is_exact(self) -> bool:
         """Whether masses and places are those that were fitted; settotalmass, for one, would scale a payload away."""

@@ -107,7 +107,7 @@ class Spread:
         return value + self.half * share if self.adds else value * (1.0 + self.half * share)
 
 
-class Unsaid(StrEnum):
+class NotWritten(StrEnum):
     """Why a number of a fix does not stand in the patched model file as it is.
 
     `NO_ATTRIBUTE`: the format has none for it, it is in the Python function. `SHARPER`: the format has the effect
@@ -146,7 +146,7 @@ class LeftToYou:
     """A parameter of a fix that the patched model file does not hold, and why."""
 
     parameter: str
-    reason: Unsaid
+    reason: NotWritten
 
 
 @dataclass(frozen=True, eq=False)

@@ -148,7 +148,7 @@ class GapTable:
             return "The two runs share no recording that can be compared."
         worst = self.largest
         found = (_quiet(self) if worst is None else _frf_sentence(self, worst)) + _nu_sentence(self.nu_gaps) + "."
-        return " ".join([found, *(f"Over levels, {d.sentence}" for d in self.levels if d.judged and not d.linear)])
+        return " ".join([found, *(f"Over levels, {d.sentence}" for d in self.levels if d.decidable and not d.linear)])
 
 
 def _frf_sentence(table: GapTable, worst: GapRow) -> str:

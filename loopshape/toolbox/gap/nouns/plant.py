@@ -111,7 +111,7 @@ class Plant(Protocol):
         """One recording an experiment, in order, in parallel; `states` adds true states as columns."""
 
 
-class Followable(Plant, Protocol):
+class SimulationModel(Plant, Protocol):
     """A plant whose recordings a gap diagnosis can follow: it has effects, a manufacturing tolerance, and submodels."""
 
     effects: tuple[EffectForm, ...]
@@ -124,13 +124,13 @@ class Followable(Plant, Protocol):
     #: whether temperature and prices of a diagnosis were calibrated on machines like it
     calibrated: bool
 
-    def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
+    def readied(self, run: Run, names: Sequence[str]) -> tuple[SimulationModel, Run, list[str]]:
         """This plant with the run's own nominal numbers, and the run and recordings as it wants to follow them."""
 
     def stays_in_range(self, recording: Recording, run: Run) -> bool:
         """Whether what was measured lies where the model holds."""
 
-    def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> Prepared:
+    def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> PreparedRecording:
         """A recording ready to be followed, cut to `longest_s` after its lead if that is given."""
 
     def residuals(self, prepared: Any, moves: Mapping[str, float]) -> dict[str, Array]:
@@ -154,7 +154,7 @@ class Followable(Plant, Protocol):
 
 @runtime_checkable
 class Statable(Protocol):
-    """A followable plant of which a user may know what a good model leaves."""
+    """A simulation model of which a user may know what a good model leaves."""
 
     #: unit of each channel of `residuals`
     units: Mapping[str, str]
@@ -164,7 +164,7 @@ class Statable(Protocol):
     def left(self, prepared: Sequence[Any], moves: Mapping[str, float]) -> dict[str, float]:
         """Rms within a window, by channel, that parameters moved as given leave of recordings of a good machine."""
 
-    def leaving(self, rms: Mapping[str, float]) -> Followable:
+    def leaving(self, rms: Mapping[str, float]) -> SimulationModel:
         """This plant, of which a good model leaves so much; what is stated already stays."""
 
 
@@ -206,7 +206,7 @@ class Shapes(Protocol):
         """What each shape at each place does to the residuals of a recording (n, k), channel by channel."""
 
 
-class Prepared(Protocol):
+class PreparedRecording(Protocol):
     """What a plant makes of a recording before it follows it."""
 
     @property

@@ -84,7 +84,7 @@ class Push:
     y: Array | None = None
 
 
-def followed(c: Composed, recording: Recording, longest_s: float | None) -> Followed:
+def simulated_along(c: Composed, recording: Recording, longest_s: float | None) -> Followed:
     """A recording, or its first `longest_s`, with first guesses of initial states.
 
     What is measured, or a slope of it, starts from a parabola through the first samples: a wrong model must not move

@@ -21,7 +21,7 @@ from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.effect import EffectForm
 from loopshape.toolbox.gap.nouns.machine import Model
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 from loopshape.toolbox.gap.own.composed import Composed
 from loopshape.toolbox.gap.own.following import FASTEST_HZ, RIPPLE
 from loopshape.toolbox.gap.own.plant import OwnMachine
@@ -44,7 +44,7 @@ NOTE = (
 class LinearMachine(OwnMachine):
     """A machine known by FRFs: effects that an FRF cannot show are no hypotheses."""
 
-    def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
+    def readied(self, run: Run, names: Sequence[str]) -> tuple[SimulationModel, Run, list[str]]:
         """As of any machine of one's own, with linear effects alone."""
         ready, run, names = super().readied(run, names)
         ready.effects = tuple(_finer(f) for f in ready.effects if _is_linear(f))
@@ -66,7 +66,7 @@ def _finer(form: EffectForm) -> EffectForm:
     return replace(form, free=tuple(free))
 
 
-def followable(model: Model, frfs: Sequence[FRF]) -> tuple[LinearMachine, Run]:
+def simulable(model: Model, frfs: Sequence[FRF]) -> tuple[LinearMachine, Run]:
     """The machine, and the run that its FRFs stand for.
 
     Refuses FRFs of other columns, without an error, or with fewer than FEWEST lines, and a model that is not linear.

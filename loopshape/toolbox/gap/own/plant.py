@@ -18,7 +18,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.effect import EffectForm, Spread
 from loopshape.toolbox.gap.nouns.machine import Model, is_angle
-from loopshape.toolbox.gap.nouns.plant import Followable, ParameterTable
+from loopshape.toolbox.gap.nouns.plant import ParameterTable, SimulationModel
 from loopshape.toolbox.gap.own import following, mapping
 from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms, spread
 from loopshape.toolbox.gap.own.composed import Composed
@@ -35,7 +35,7 @@ _ROOM = 0.02  # of what was seen: a simulation's outputs may be further off than
 
 
 class OwnMachine:
-    """A `Model` with generic effects around it (`Followable`), driven by measured inputs; it has no loops."""
+    """A `Model` with generic effects around it (`SimulationModel`), driven by measured inputs; it has no loops."""
 
     loops: tuple[str, ...] = ()
     solvers: tuple[str, ...] = ("edges",)
@@ -57,7 +57,7 @@ class OwnMachine:
         self.parameters: ParameterTable = self.composed.table
         self._started: WeakKeyDictionary[Followed, tuple[object, following.Started]] = WeakKeyDictionary()
 
-    def readied(self, run: Run, names: Sequence[str]) -> tuple[Followable, Run, list[str]]:
+    def readied(self, run: Run, names: Sequence[str]) -> tuple[SimulationModel, Run, list[str]]:
         """The machine with effects at the run's scales; few recordings are cut into pieces that may be left out.
 
         Refuses a run whose columns are mapped with a wrong sign, unit or zero, and constants that are no parameters.
@@ -156,7 +156,7 @@ class OwnMachine:
 
     def prepare(self, recording: Recording, run: Run, longest_s: float | None) -> Followed:
         """The recording in windows, each with an initial state that fits the nominal model."""
-        return following.followed(self.composed, recording, longest_s)
+        return following.simulated_along(self.composed, recording, longest_s)
 
     def repeated(self, prepared: Followed, moves: Mapping[str, float], share: float) -> Followed:
         """What the recording would be under moved parameters, with commands and motion `share` times as large."""

@@ -18,7 +18,7 @@ from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, axes_or_new, sty
 
 MEASURED = "0.1"
 LEAST, MOST = 4, 5  # hypotheses that are shown
-PLAIN = 0.001  # a hypothesis below is shown only to fill the least
+LEAST_PROBABILITY = 0.001  # a hypothesis below is shown only to fill the least
 _LINE = 96  # characters of the title's lines
 _WINDOW_S = (3.0, 10.0)
 CURVES, ROOM = 2, 0.6  # of a missing force, side by side at most; above and below them, of their height
@@ -90,7 +90,7 @@ def _headed(ax: Axes, letter: str, word: str, rest: str, x: float = 0.0) -> None
 
 def leading(ranking: Sequence[Ranked]) -> list[Ranked]:
     """The most probable hypotheses: those that count, some at least and not too many."""
-    counted = sum(r.probability >= PLAIN for r in ranking)
+    counted = sum(r.probability >= LEAST_PROBABILITY for r in ranking)
     return list(ranking[: min(max(counted, LEAST), MOST)])
 
 

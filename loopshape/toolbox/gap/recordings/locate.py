@@ -12,7 +12,7 @@ from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose.decide import Candidate
 from loopshape.toolbox.gap.diagnose.evidence import Cell, Evidence
 from loopshape.toolbox.gap.nouns.gap_report import Where
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 
 def where(
@@ -68,13 +68,13 @@ def _point(run: Run, recording: str) -> Mapping[str, float]:
     return whole[max(parents, key=len)] if parents else {}
 
 
-def block_of(plant: Followable, effect: str, nearest: str = "unknown") -> str:
+def block_of(plant: SimulationModel, effect: str, nearest: str = "unknown") -> str:
     """The block an effect lives in; none is its own, and unknown lives at `nearest`."""
     return next((f.block for f in plant.effects if f.effect == effect), nearest if effect == "unknown" else effect)
 
 
 def block_probabilities(
-    plant: Followable, probabilities: Mapping[str, float], nearest: str = "unknown"
+    plant: SimulationModel, probabilities: Mapping[str, float], nearest: str = "unknown"
 ) -> dict[str, float]:
     """Probabilities summed over the effects and pairs of each block (a+b for pairs), most probable first."""
     out: dict[str, float] = {}

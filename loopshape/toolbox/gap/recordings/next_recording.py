@@ -17,7 +17,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose.evidence import Moves
 from loopshape.toolbox.gap.nouns.gap_report import Proposal
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 SHARES = (0.4, 0.7, 1.0, 1.4, 2.0)  # of the recording's own size
 NOTHING = 2.0  # floors, below which nothing is separated
@@ -35,8 +35,11 @@ class Repeatable(Protocol):
         """Whether a repeated recording's commands and outputs stay within those of every prepared one."""
 
 
+Named = tuple[str, Moves]
+
+
 def repeat(
-    plant: Followable, run: Run, recordings: Sequence[Recording], first: tuple[str, Moves], second: tuple[str, Moves]
+    plant: SimulationModel, run: Run, recordings: Sequence[Recording], first: Named, second: Named
 ) -> Proposal | None:
     """The recording to repeat, and its size, that separates two hypotheses (name, moved parameters) most."""
     if first[0] == second[0] or not isinstance(plant, Repeatable):
@@ -59,7 +62,7 @@ def repeat(
     return Proposal(name, (first[0], second[0]), best, None, f"record {name} again {size}: it {verb}{here}")
 
 
-def separation(plant: Followable, prepared: Any, moves: Moves) -> float:
+def separation(plant: SimulationModel, prepared: Any, moves: Moves) -> float:
     """Rms over the channels of what moved parameters leave of a prepared recording, in floors."""
     floors = plant.floors(prepared)
     left = [np.clip(v / floors[k], -_MOST, _MOST) for k, v in plant.residuals(prepared, moves).items()]

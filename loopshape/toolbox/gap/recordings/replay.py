@@ -14,14 +14,14 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose.evidence import Moves
 from loopshape.toolbox.gap.nouns.gap_table import GapTable
-from loopshape.toolbox.gap.nouns.plant import Followable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel
 from loopshape.toolbox.gap.two_runs.table import compare
 
 LEAD_S = 4.0  # the rig was under control before: so long the model stands at the first references
 
 
 def tables(
-    plant: Followable,
+    plant: SimulationModel,
     run: Run,
     recordings: Sequence[Recording],
     many: Sequence[Moves],
@@ -53,7 +53,7 @@ def tables(
     return out[0], out[1]
 
 
-def _cannot(plant: Followable, run: Run) -> str:
+def _cannot(plant: SimulationModel, run: Run) -> str:
     """Why a run cannot be replayed; empty where it can."""
     if not plant.loops:
         return f"{plant.name} is followed with measured inputs, not driven in closed loop"
@@ -70,7 +70,7 @@ def _cannot(plant: Followable, run: Run) -> str:
     return f"{nowhere[0]} names no operating point" if nowhere else ""
 
 
-def replayed(plant: Followable, run: Run, moves: Moves) -> Run:
+def replayed(plant: SimulationModel, run: Run, moves: Moves) -> Run:
     """The run's closed-loop recordings done on the model; each starts after a lead at its first references."""
     experiments = [_experiment(run, r, k) for k, r in enumerate(run.recordings)]
     done = plant.simulate(experiments, changes=dict(run.extra.get("parameters", {})) | dict(moves))
@@ -107,7 +107,7 @@ def _experiment(run: Run, recording: Recording, seed: int) -> Experiment:
         role=info.role,
         closed_loop=True,
         seed=seed,
-        **info.told(),
+        **info.settings(),
         pwm=run.pwm,
     )
 

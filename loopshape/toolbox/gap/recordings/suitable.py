@@ -13,7 +13,7 @@ from loopshape.core.units import Array
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.toolbox.gap.nouns.plant import Followable, Statable
+from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
 
 SHORTEST_S = 3.0
 RUN = 10  # equal samples in a row
@@ -21,7 +21,7 @@ LIVELIER = 1.5  # rms of a column about its mean over that on the baseline
 SATURATED = 0.02  # share of samples at a measured signal's ends
 
 
-def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
+def suitable(plant: SimulationModel, run: Run) -> tuple[list[str], list[Recording]]:
     """Notes and the recordings that can be followed; raises BadSignalError where there are none to fit."""
     notes: list[str] = []
     usable = [r for r in run.recordings if _usable(plant, run, r, notes)]
@@ -46,7 +46,7 @@ def suitable(plant: Followable, run: Run) -> tuple[list[str], list[Recording]]:
     return notes, usable
 
 
-def comparable(plant: Followable, run: Run, baseline: Run) -> tuple[list[str], Run]:
+def comparable(plant: SimulationModel, run: Run, baseline: Run) -> tuple[list[str], Run]:
     """Notes and the baseline's recordings that can be followed; refuses one that was not recorded as the run was."""
     if not isinstance(plant, Statable):
         raise WrongUseError(
@@ -87,7 +87,7 @@ def comparable(plant: Followable, run: Run, baseline: Run) -> tuple[list[str], R
     return notes, replace(baseline, recordings=usable)
 
 
-def _livelier(plant: Followable, recordings: Sequence[Recording], baseline: Sequence[Recording]) -> list[str]:
+def _livelier(plant: SimulationModel, recordings: Sequence[Recording], baseline: Sequence[Recording]) -> list[str]:
     """Which columns vary far more than on the baseline, whose floor may then be too low."""
 
     def varying(column: str, of: Sequence[Recording]) -> float:
@@ -104,7 +104,7 @@ def _livelier(plant: Followable, recordings: Sequence[Recording], baseline: Sequ
     return out
 
 
-def _same(plant: Followable, one: Recording, other: Recording) -> bool:
+def _same(plant: SimulationModel, one: Recording, other: Recording) -> bool:
     """Whether two recordings hold the same values."""
     return all(c in other.columns and np.array_equal(one.column(c), other.column(c)) for c in plant.needs)
 
@@ -117,7 +117,7 @@ class Moving(Protocol):
         """Positions, by column, that were seen about one point alone, with their range."""
 
 
-def _one_point(plant: Followable, recordings: Sequence[Recording]) -> list[str]:
+def _one_point(plant: SimulationModel, recordings: Sequence[Recording]) -> list[str]:
     """What recordings at one operating point cannot tell; nothing where positions themselves cover a range."""
     keys = " or ".join(recordings[0].info.operating_point)
     where, differ = "", keys or "operating point"
@@ -133,7 +133,7 @@ def _one_point(plant: Followable, recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
-def _usable(plant: Followable, run: Run, recording: Recording, notes: list[str]) -> bool:
+def _usable(plant: SimulationModel, run: Run, recording: Recording, notes: list[str]) -> bool:
     try:
         fault = _fault(plant, run, recording)
     except BadSignalError as error:
@@ -143,7 +143,7 @@ def _usable(plant: Followable, run: Run, recording: Recording, notes: list[str])
     return not fault
 
 
-def _fault(plant: Followable, run: Run, recording: Recording) -> str:
+def _fault(plant: SimulationModel, run: Run, recording: Recording) -> str:
     """What keeps a recording from being used, in a sentence; empty where nothing does."""
     file, missing = recording.info.file, [c for c in plant.needs if c not in recording.columns]
     if missing:

@@ -50,7 +50,7 @@ class LevelDependence(Plain):
 
     `resonance` (frequency) and `peak` (its height) are None where the recordings show none at both levels, `gain`
     (below the resonance) where they share too few frequencies. `frequencies` known at both levels were compared; where
-    they are too few, `judged` is False and nothing is known of a dependence.
+    they are too few, `decidable` is False and nothing is known of a dependence.
     """
 
     ALSO = keys("sentence")
@@ -64,19 +64,19 @@ class LevelDependence(Plain):
     peak: Change | None = None
     gain: Change | None = None
     frequencies: int = 0
-    judged: bool = True
+    decidable: bool = True
 
     @property
     def linear(self) -> bool:
         """Whether it was judged and nothing changed beyond noise."""
-        return self.judged and all(c is None or c.bend is Bend.LINEAR for c in (self.resonance, self.peak, self.gain))
+        return self.decidable and not {c.bend for c in (self.resonance, self.peak, self.gain) if c} - {Bend.LINEAR}
 
     @property
     def sentence(self) -> str:
         """What changed from the smallest to the largest level, in one sentence; no cause beyond its kind."""
         unit = "" if self.unit == "1" else f" {SUFFIXES.get(self.unit, self.unit)}"
         between = f"{self.loop}, injected {self.levels[0]:.3g} to {self.levels[1]:.3g}{unit} rms"
-        if not self.judged:
+        if not self.decidable:
             return (
                 f"{between}: whether the response depends on the level was not judged, for only {self.frequencies}"
                 " frequencies are known at both levels; excite the same band at each."

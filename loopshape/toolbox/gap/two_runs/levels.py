@@ -106,9 +106,9 @@ def _dependence(small: AtLevel, large: AtLevel) -> LevelDependence:
         levels=(small.level, large.level),
         unit=large.unit,
         frequencies=common,
-        judged=common >= FEWEST,
+        decidable=common >= FEWEST,
     )
-    if both is None or not found.judged:
+    if both is None or not found.decidable:
         return found
     one, two = (x.select(known) for x in both)
     pair = _same_resonance(resonances(one), resonances(two))

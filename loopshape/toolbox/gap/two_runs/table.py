@@ -138,7 +138,7 @@ def _distortion(recording: Recording, run: Run, path: Path) -> Distortion | None
         found = distortion(recording, run.loop(path.loop))
     except BadSignalError:
         return None
-    return found if found.told else None
+    return found if found.decidable else None
 
 
 def _levels(found: Distortion | None, band: tuple[float, float]) -> DistortionLevels | None:

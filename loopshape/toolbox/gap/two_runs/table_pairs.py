@@ -68,11 +68,11 @@ def pair_recordings(real: Sequence[Recording], sim: Sequence[Recording]) -> tupl
     """
     by_name = {r.info.name: r for r in sim}
     partner: dict[str, Recording] = {}
-    said = []
+    notes = []
     for one in real:
         two = by_name.get(one.info.name)
         if two is not None and (apart := _apart(one.info, two.info)):
-            said.append(f"both runs have a recording {one.info.name}, but they differ in {apart}")
+            notes.append(f"both runs have a recording {one.info.name}, but they differ in {apart}")
         elif two is not None:
             partner[one.info.name] = two
     taken = {two.info.name for two in partner.values()}
@@ -82,9 +82,9 @@ def pair_recordings(real: Sequence[Recording], sim: Sequence[Recording]) -> tupl
             partner[one.info.name] = fit
             taken.add(fit.info.name)
     pairs = [Pair(r, partner[r.info.name]) for r in real if r.info.name in partner]
-    said += [f"{_what(r.info)} of the real run has no counterpart" for r in real if r.info.name not in partner]
-    said += [f"{_what(r.info)} of the simulated run has no counterpart" for r in sim if r.info.name not in taken]
-    return pairs, tuple(said)
+    notes += [f"{_what(r.info)} of the real run has no counterpart" for r in real if r.info.name not in partner]
+    notes += [f"{_what(r.info)} of the simulated run has no counterpart" for r in sim if r.info.name not in taken]
+    return pairs, tuple(notes)
 
 
 def _apart(one: RecordingInfo, two: RecordingInfo) -> str:

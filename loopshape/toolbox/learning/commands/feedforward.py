@@ -60,9 +60,9 @@ def feedforward(
         output.table("Predicted error", ["", "rms", "95 % from", "to", "largest", "95 % from", "to"], rows)
     drawn = [_draw(run, made, errors)] if figures else []
     output.say("\n".join([f"taps written to {out}", *drawn]))
-    told = {name: {"rms": e.rms, "rms_interval": e.rms_interval, "largest": e.largest,
+    answer = {name: {"rms": e.rms, "rms_interval": e.rms_interval, "largest": e.largest,
                    "largest_interval": e.largest_interval} for name, e in errors.items()}  # fmt: skip
-    output.json({"feedforward": str(out), **made.to_dict(), "errors": told, "figures": drawn})
+    output.json({"feedforward": str(out), **made.to_dict(), "errors": answer, "figures": drawn})
 
 
 def plant_of(run: Path, recording: str | None) -> FRF:

@@ -81,7 +81,7 @@ def plan(
             seconds=seconds,
         )
         step(found.recording)
-    if found.met:
+    if found.satisfied:
         output.say(found.sentence)
         output.json(found.to_dict() | {"run": str(run), "study": None, "complete": False, "figure": None})
         return
@@ -97,14 +97,14 @@ def plan(
         raise typer.Exit(1)
 
 
-def _std(std_db: float | None, std_percent: float | None, std_deg: float | None, told: bool) -> float | None:
+def _std(std_db: float | None, std_percent: float | None, std_deg: float | None, stated: bool) -> float | None:
     """The required accuracy as a relative std of |G|, None where the experiment is told; refuses none, or several."""
     from loopshape.core.errors import WrongUseError
     from loopshape.core.units import from_db, rad
 
     given = {"--std-db": std_db, "--std-percent": std_percent, "--std-deg": std_deg}
     named = [name for name, value in given.items() if value is not None]
-    if told and not named:
+    if stated and not named:
         return None
     if len(named) != 1:
         raise WrongUseError(

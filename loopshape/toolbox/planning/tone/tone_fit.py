@@ -117,8 +117,8 @@ def _exponential(z: ComplexArray, t: Array) -> tuple[complex, float, float, Arra
 
     target = white(z)
     starts = [np.array([g, _peak(z * np.exp(-g * t / length), length)]) for g in STARTS]
-    begun = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
-    x = least_squares(left, begun, method="lm", xtol=1e-10, ftol=1e-10, x_scale=(1.0, 0.3)).x
+    initial = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
+    x = least_squares(left, initial, method="lm", xtol=1e-10, ftol=1e-10, x_scale=(1.0, 0.3)).x
     c, shape, missed = parts(x)
     columns = white(np.column_stack([shape, 1j * shape, c * t * shape, 1j * TWO_PI * c * t * shape]))
     return c, float(x[0] / length), float(x[1] / length), np.vstack([columns.real, columns.imag]), _flat(missed)

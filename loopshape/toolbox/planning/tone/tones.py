@@ -99,7 +99,7 @@ def tones_of(
     count = -(-size // LONGEST)
     edges = np.linspace(0, size, count + 1).astype(int)
     wholes = list(pairwise(edges))
-    tests = sum(_judged_lines(stop - start, part) for start, stop in wholes for part in PARTS)
+    tests = sum(_lines_used(stop - start, part) for start, stop in wholes for part in PARTS)
     found, sums = [], []
     for start, stop in wholes:
         values = np.asarray(signal[start:stop], dtype=float)
@@ -193,8 +193,8 @@ def _tone(fit: ToneFit, one: _Candidate, chance: float) -> Tone:
     )
 
 
-def _around(value: float, reach: float) -> Interval:
-    return value - reach, value + reach
+def _around(value: float, half_width: float) -> Interval:
+    return value - half_width, value + half_width
 
 
 def _candidates(
@@ -206,7 +206,7 @@ def _candidates(
     `rounding` is the power of a line below which there are only the digits of numbers.
     """
     for part in PARTS:
-        if not _judged_lines(values.size, part):
+        if not _lines_used(values.size, part):
             return
         each = values.size // part
         powers = [periodogram(values[k * each : (k + 1) * each]) + rounding for k in range(part)]
@@ -236,7 +236,7 @@ def _chance_elsewhere(powers: Sequence[Array], part: int, line: int) -> float:
     return float((1.0 + powers[part][line] / max(np.mean(others), 1e-300) / freedom) ** -freedom)
 
 
-def _judged_lines(size: int, part: int) -> int:
+def _lines_used(size: int, part: int) -> int:
     """How many lines are judged in all of so many parts; none where they are too short."""
     each = size // part
     return 0 if each < SHORTEST else part * max(each // 2 - 2 * (SIDE + GAP), 0)
@@ -289,13 +289,13 @@ def _lines(power: Array, chance: float, free: float) -> list[tuple[int, float]]:
 
 def sides(power: Array, usable: np.ndarray) -> tuple[Array, Array, np.ndarray]:
     """Means of the usable lines on the left and right of each line, infinite at the ends; and the smaller count."""
-    reach = SIDE + GAP
+    half_width = SIDE + GAP
     total = np.concatenate([[0.0], np.cumsum(np.where(usable, power, 0.0))])
     count = np.concatenate([[0], np.cumsum(usable)])
     k = np.arange(power.size)
-    inner = (k > reach) & (k < power.size - 1 - reach)
+    inner = (k > half_width) & (k < power.size - 1 - half_width)
     found = []
-    for low, high in ((k - reach, k - GAP), (k + GAP + 1, k + reach + 1)):
+    for low, high in ((k - half_width, k - GAP), (k + GAP + 1, k + half_width + 1)):
         low, high = np.clip(low, 0, power.size), np.clip(high, 0, power.size)
         many = count[high] - count[low]
         with np.errstate(divide="ignore", invalid="ignore"):

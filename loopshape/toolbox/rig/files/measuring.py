@@ -20,7 +20,7 @@ _BOOT = Path("/proc/sys/kernel/random/boot_id")
 def marked(run: Path, port: str) -> Iterator[None]:
     """Say in a run folder that this process drives which port, while it does."""
     mark = run / MARK
-    write_json(mark, {"pid": os.getpid(), "begun": begun(os.getpid()), "port": port})
+    write_json(mark, {"pid": os.getpid(), "started_at": started_at(os.getpid()), "port": port})
     try:
         yield
     finally:
@@ -40,7 +40,7 @@ def driver(run: Path) -> int:
     pid = mark.get("pid") if isinstance(mark, dict) else None
     if not isinstance(pid, int) or isinstance(pid, bool) or not 2 <= pid < 2**31:
         raise UnreadableInputError(f"{run / MARK} names no process", short(repr(pid)), "name the port")
-    if not (now := begun(pid)) or now != mark.get("begun"):
+    if not (now := started_at(pid)) or now != mark.get("started_at"):
         raise WrongUseError(
             f"{run / MARK} is of a process that has ended",
             f"{pid}, which {'is another process now' if now else 'does not run'}",
@@ -49,7 +49,7 @@ def driver(run: Path) -> int:
     return pid
 
 
-def begun(pid: int) -> str:
+def started_at(pid: int) -> str:
     """When a process began, in words that no other process of its number has; "" where none runs."""
     try:
         words = Path(f"/proc/{pid}/stat").read_bytes().rpartition(b")")[2].split()

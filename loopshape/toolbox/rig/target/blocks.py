@@ -97,9 +97,9 @@ def _sources(wired: Wired, loops: Sequence[LoopSetup]) -> dict[str, int]:
         columns.setdefault(loop.reference, k)
         columns.setdefault(loop.output, len(loops) + k)
     known = {*columns, *(loop.control for loop in loops), None}
-    if strays := [f"{name} is {column}" for name, column in wired.columns.items() if column not in known]:
+    if unknown := [f"{name} is {column}" for name, column in wired.columns.items() if column not in known]:
         raise WrongUseError(
-            "a signal is wired to no loop's column", ", ".join(strays), f"use {', '.join(sorted(filter(None, known)))}"
+            "a signal is wired to no loop's column", ", ".join(unknown), f"use {', '.join(sorted(filter(None, known)))}"
         )
     return {name: columns[column] for name, column in wired.columns.items() if column in columns and column}
 
@@ -119,7 +119,7 @@ class _Signals:
             return {}
         if not (terms := self._wired.diagram.terms(signal)):
             raise WrongUseError(
-                "a signal of the diagram is not known on the target", self._said(signal),
+                "a signal of the diagram is not known on the target", self._described(signal),
                 "wire it to a loop's reference or output, or to None where nothing moves it",
             )  # fmt: skip
         out: dict[str, float] = {}
@@ -145,7 +145,7 @@ class _Signals:
             known.add(ready[0])
         return [self._parts[name] for name in found]
 
-    def _said(self, signal: str) -> str:
+    def _described(self, signal: str) -> str:
         maker = next((p for p in self._wired.diagram.parts if signal in p.outputs), None)
         what = "comes from outside" if maker is None else f"is what {maker.name} gives"
         return f"{signal} {what}"

@@ -77,10 +77,10 @@ def opened(encoded: bytes) -> Frame | None:
     body = unstuffed(encoded)
     if body is None or not HEAD + CHECK <= len(body) <= HEAD + LONGEST_PAYLOAD + CHECK:
         return None
-    said, check = body[:-CHECK], body[-CHECK:]
-    if zlib.crc32(said) != int.from_bytes(check, "little"):
+    content, check = body[:-CHECK], body[-CHECK:]
+    if zlib.crc32(content) != int.from_bytes(check, "little"):
         return None
-    return Frame(said[0], int.from_bytes(said[1:HEAD], "little"), said[HEAD:])
+    return Frame(content[0], int.from_bytes(content[1:HEAD], "little"), content[HEAD:])
 
 
 @dataclass
@@ -88,7 +88,7 @@ class Receiver:
     """Collects bytes and gives the frames in them; `bad` counts what was dropped. It holds at most one frame."""
 
     bad: int = 0
-    _held: bytearray = field(default_factory=bytearray)
+    _pending: bytearray = field(default_factory=bytearray)
     _spoilt: bool = False
 
     def take(self, data: bytes) -> Iterator[Frame]:
@@ -102,16 +102,16 @@ class Receiver:
         self._hold(pieces[-1])
 
     def _hold(self, piece: bytes) -> None:
-        if len(self._held) + len(piece) > LONGEST_ENCODED:
+        if len(self._pending) + len(piece) > LONGEST_ENCODED:
             self._spoilt = True
-            self._held.clear()
+            self._pending.clear()
         elif not self._spoilt:
-            self._held += piece
+            self._pending += piece
 
     def _close(self) -> Frame | None:
         """The frame that a zero ends; counts one that is spoilt. Two zeros in a row are nothing."""
-        encoded, spoilt = bytes(self._held), self._spoilt
-        self._held.clear()
+        encoded, spoilt = bytes(self._pending), self._spoilt
+        self._pending.clear()
         self._spoilt = False
         if not encoded and not spoilt:
             return None

@@ -201,17 +201,17 @@ class Configuration:
 
     def frames(self) -> list[tuple[Request, bytes]]:
         """The requests that configure, in the order of the digest."""
-        said = [(Request.CONFIGURE, self._configure())]
-        said += [(Request.BLOCK, block.payload(k)) for k, block in enumerate(self.blocks)]
+        requests = [(Request.CONFIGURE, self._configure())]
+        requests += [(Request.BLOCK, block.payload(k)) for k, block in enumerate(self.blocks)]
         for loop, sections in enumerate(self.sections):
             if isinstance(sections, Scheduling):
                 head, nodes = sections.payloads(loop)
-                said += [(Request.SCHEDULE, head), *((Request.NODES, part) for part in nodes)]
+                requests += [(Request.SCHEDULE, head), *((Request.NODES, part) for part in nodes)]
             elif isinstance(sections, int):
-                said += [(Request.OUTPUT, bytes((loop, sections)))]
+                requests += [(Request.OUTPUT, bytes((loop, sections)))]
             else:
-                said += _sections(loop, sections)
-        return said + [
+                requests += _sections(loop, sections)
+        return requests + [
             (Request.LIMIT, struct.pack("<Bddd", k, *map(float, limit))) for k, limit in enumerate(self.limits.tolist())
         ]
 
@@ -245,7 +245,7 @@ def setpoint(ramp_s: float, references: Sequence[float]) -> bytes:
     return struct.pack(f"<{1 + len(references)}d", ramp_s, *references)
 
 
-def begin(run: int, rows: int, injection: int, columns: int, noise: int, place: bool) -> bytes:
+def start_payload(run: int, rows: int, injection: int, columns: int, noise: int, place: bool) -> bytes:
     """Payload of BEGIN."""
     return struct.pack("<IIBHQB", run, rows, injection, columns, noise, place)
 

@@ -32,10 +32,10 @@ class Scheduling:
     @classmethod
     def of(cls, one: GainScheduled, loops: Sequence[str]) -> Scheduling:
         """A schedule for a target that closes these loops. Refuses a variable that follows none of them."""
-        if strays := sorted({v.loop for v in one.variables} - set(loops)):
+        if unknown := sorted({v.loop for v in one.variables} - set(loops)):
             raise WrongUseError(
                 f"the schedule of loop {one.loop!r} follows a loop that is not there",
-                ", ".join(strays), f"loops are {', '.join(loops)}",
+                ", ".join(unknown), f"loops are {', '.join(loops)}",
             )  # fmt: skip
         variables = tuple(
             (loops.index(v.loop) + len(loops) * (v.follows is Follows.OUTPUT), v.per_stored, v.knots)

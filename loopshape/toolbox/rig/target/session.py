@@ -84,8 +84,8 @@ class Session:
             return answer.payload
         p = Payload(answer.payload)
         code = p.one("H")
-        said = p.text()
-        raise RefusedError(what, code, said)
+        message = p.text()
+        raise RefusedError(what, code, message)
 
     def listen(self, wait_s: float) -> None:
         """Take in what has come, waiting at most `wait_s`."""
@@ -94,9 +94,9 @@ class Session:
                 if frame.tag in self._awaited:
                     self._answer = frame
             else:
-                self._told(frame)
+                self._on_frame(frame)
 
-    def _told(self, frame: Frame) -> None:
+    def _on_frame(self, frame: Frame) -> None:
         try:
             self.unasked(frame)
         except RigError:
@@ -166,9 +166,9 @@ class Session:
 class RefusedError(RigError):
     """The target said NO: `code` as in the protocol's page."""
 
-    def __init__(self, what: Request, code: int, said: str) -> None:
+    def __init__(self, what: Request, code: int, message: str) -> None:
         self.code = code
         word = messages.REFUSALS.get(code, f"code {code}")
         super().__init__(
-            f"the target refuses {what.name}", f"{word}{': ' + said if said else ''}", "look at the target first"
+            f"the target refuses {what.name}", f"{word}{': ' + message if message else ''}", "look at the target first"
         )

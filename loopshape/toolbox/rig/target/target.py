@@ -20,6 +20,7 @@ from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.diagrams.wired import Wired
 from loopshape.toolbox.rig.settings import TargetSettings
 from loopshape.toolbox.rig.target import messages
+from loopshape.toolbox.rig.target.acquisition import KEPT_REASONS, Acquisition, Arrived
 from loopshape.toolbox.rig.target.armed import Armed as Armed
 from loopshape.toolbox.rig.target.armed import arm as arm
 from loopshape.toolbox.rig.target.armed import beat_s, reason_words
@@ -28,7 +29,6 @@ from loopshape.toolbox.rig.target.armed import vented_on_error as vented_on_erro
 from loopshape.toolbox.rig.target.blocks import Block, blocks
 from loopshape.toolbox.rig.target.messages import Configuration, Ended, Identity, Reason, Request, Response, State
 from loopshape.toolbox.rig.target.scheduling import Scheduling
-from loopshape.toolbox.rig.target.taking import KEPT, Arrived, Taking
 
 ENDED_S = 0.3  # in which a target says why it stopped: it repeats that every 0.2 s
 
@@ -101,7 +101,7 @@ def _fits(identity: Identity, loops: Sequence[LoopSetup], settings: TargetSettin
             raise WrongUseError(
                 f"the limits of {column} lie beyond its range, and limit nothing",
                 str(limit),
-                f"write limits within {limit.said(low)} to {limit.said(high)}",
+                f"write limits within {limit.spoken_value(low)} to {limit.spoken_value(high)}",
             )
     for column, parts in settings.commands.items():
         _known(f"loops of {column}", parts, [loop.name for loop in loops])
@@ -188,23 +188,23 @@ def _again(armed: Armed) -> bool:
 
 def _record(armed: Armed, e: Experiment, number: int, keeper: Keeper) -> tuple[Recording, Ended]:
     place = armed.settings.place and armed.session.identity.emulated
-    _reach(armed, e, place)
+    _extremes(armed, e, place)
     arrived: list[Arrived] = []
-    taking = Taking(armed, e, number, lambda rows: arrived[0](rows))
-    with keeper(RecordingInfo.of(e), e.rate_hz, taking.names) as append:
+    acquisition = Acquisition(armed, e, number, lambda rows: arrived[0](rows))
+    with keeper(RecordingInfo.of(e), e.rate_hz, acquisition.names) as append:
         arrived.append(append)
         try:
-            ended = taking.run(place)
+            ended = acquisition.run(place)
         finally:
             armed.session.unasked = lambda frame: None
-    if ended.reason not in KEPT or ended.ticks == 0:
+    if ended.reason not in KEPT_REASONS or ended.ticks == 0:
         raise RigError(
             f"{e.name!r} is not kept: the target ended it", str(_why(armed, ended)), "the same command goes on with it"
         )
-    return Recording(RecordingInfo.of(e, _why(armed, ended)), e.rate_hz, taking.columns(ended.ticks)), ended
+    return Recording(RecordingInfo.of(e, _why(armed, ended)), e.rate_hz, acquisition.columns(ended.ticks)), ended
 
 
-def _reach(armed: Armed, e: Experiment, place: bool) -> None:
+def _extremes(armed: Armed, e: Experiment, place: bool) -> None:
     """Move to where the recording starts and rest there; an emulated machine is put there."""
     ramp_s = armed.settings.soft_start_s
     armed.session.ask(Request.SETPOINT, messages.setpoint(ramp_s, e.references[0].tolist()))
@@ -234,11 +234,11 @@ def _why(armed: Armed, ended: Ended) -> str | None:
     if ended.index is None or ended.index >= len(armed.columns):
         return f"{word} at tick {ended.tick}{': ' + ended.sentence if ended.sentence else ''}"
     column = armed.columns[ended.index]
-    said = f"; {ended.sentence}" if ended.sentence.startswith("the target") else ""
+    spoken_value = f"; {ended.sentence}" if ended.sentence.startswith("the target") else ""
     unit = "/s" if ended.reason is Reason.RATE_LIMIT else ""
     value, beyond, limit = (
-        armed.settings.limits[column].said(one) + unit
+        armed.settings.limits[column].spoken_value(one) + unit
         for one in (ended.value, abs(ended.value - ended.limit), ended.limit)
     )
     when = f"tick {ended.tick} ({ended.tick / armed.session.identity.rate_hz:.3f} s)"
-    return f"{word} of {column} at {when}: {value}, by {beyond} beyond {limit}{said}"
+    return f"{word} of {column} at {when}: {value}, by {beyond} beyond {limit}{spoken_value}"

@@ -67,7 +67,7 @@ def measure(
     Raises WrongUseError for a study that the rig cannot do and for a target that was not armed, RigError for a lost
     line, `StoppedAtLimitError` where a real machine passed a limit. Ctrl-C raises KeyboardInterrupt with what is kept.
     """
-    file, folder, told = Path(study), Path(out), watch or Unwatched()
+    file, folder, watcher = Path(study), Path(out), watch or Unwatched()
     wanted, plant = _asked(file, controllers, effects)
     if decoupling is not None:
         wanted = replace(wanted, decoupling=decoupling)
@@ -82,14 +82,14 @@ def measure(
     if wanted.rig == "target":
         may = confirm or (lambda motion: arm)
         record_on_target(
-            wanted, plant, folder, told, port=port, confirm=may, again=again, extra=extra,
+            wanted, plant, folder, watcher, port=port, confirm=may, again=again, extra=extra,
             verdict=None if verdict is None else Path(verdict), allow_unverified=allow_unverified,
         )  # fmt: skip
         return read_run(folder)
     todo = plan(wanted, plant)
     done = frozenset((whole if again else finished)(folder))
     start_run(folder, header(wanted, plant, extra))
-    with alone(folder), interrupts(), told.progress("measure", len(todo) - len(done)) as step:
+    with alone(folder), interrupts(), watcher.progress("measure", len(todo) - len(done)) as step:
         try:
             for recording in recordings(wanted, plant, done=done, states=states):
                 add_recording(folder, recording, again=again)

@@ -19,18 +19,17 @@ from loopshape.data.signal.recording import RecordingInfo
 from loopshape.io.run.journal import note
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.run.run_tables import recording_table
-from loopshape.io.run.stream_log import adopted, arriving, keep_arrived
+from loopshape.io.run.stream_log import adopted, keep_arrived, open_stream_log
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.toolbox.rig.files.measuring import marked
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
 from loopshape.toolbox.rig.study import Study
+from loopshape.toolbox.rig.target.acquisition import RATE_TICKS, Arrived
 from loopshape.toolbox.rig.target.blocks import own_radius
-from loopshape.toolbox.rig.target.intake import RATE_TICKS
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Configuration, Identity
 from loopshape.toolbox.rig.target.session import Session
-from loopshape.toolbox.rig.target.taking import Arrived
 from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
 from loopshape.verbs.watch import Confirm, Motion, Watch
 
@@ -73,7 +72,7 @@ def record_on_target(
             try:
                 _drive(session, wanted, todo, study, plant, out, watch)
             except LoopshapeError as error:
-                note(out, "fault", said=str(error))
+                note(out, "fault", message=str(error))
                 raise
             except KeyboardInterrupt:
                 note(out, "stopped")
@@ -186,7 +185,7 @@ def _drive(
     """Arm, and record what is to be done; whatever ends this early vents before the link is closed."""
 
     def keeper(info: RecordingInfo, rate_hz: float, names: Sequence[str]) -> AbstractContextManager[Arrived]:
-        return arriving(out, info.name, recording_table(info), rate_hz, names)
+        return open_stream_log(out, info.name, recording_table(info), rate_hz, names)
 
     assert study.target is not None
     coming = (experiment(study, plant, one) for one in todo)
@@ -233,7 +232,7 @@ def _refuse_references(
     if not limit.low < low <= high < limit.high:
         raise WrongUseError(
             f"the setpoint of {loop.name} in {name!r} lies outside its limits",
-            f"{limit.said(low if low <= limit.low else high)}, limits {limit}",
+            f"{limit.spoken_value(low if low <= limit.low else high)}, limits {limit}",
             "move the operating point, or widen the limit",
         )
     asked = setpoint + injected
@@ -241,7 +240,7 @@ def _refuse_references(
     if injection == "controller_input" and not limit.low <= low <= high <= limit.high:
         raise WrongUseError(
             f"the excitation of {loop.name} in {name!r} asks for what lies outside its limits",
-            f"{limit.said(low if low < limit.low else high)} with its setpoint, limits {limit}",
+            f"{limit.spoken_value(low if low < limit.low else high)} with its setpoint, limits {limit}",
             "give a smaller amplitude, or widen the limit",
         )
 
@@ -256,13 +255,13 @@ def _refuse_commands(motion: Motion, e: Experiment, asked: Array) -> None:
         if passed:
             raise WrongUseError(
                 f"the excitation in {e.name!r} passes the limits of {column} by itself",
-                f"{limit.said(low)} to {limit.said(high)}, limits {limit}",
+                f"{limit.spoken_value(low)} to {limit.spoken_value(high)}, limits {limit}",
                 "give a smaller amplitude, or widen the limit",
             )
         rates = np.abs(values[RATE_TICKS:] - values[:-RATE_TICKS]) * (e.rate_hz / RATE_TICKS)
         if opened and rates.size and rates.max() > limit.rate * (1.0 + 1e-9):
             raise WrongUseError(
                 f"the excitation in {e.name!r} changes {column} faster than its limit",
-                f"{limit.said(float(rates.max()))}/s over {RATE_TICKS} ticks, limits {limit}",
+                f"{limit.spoken_value(float(rates.max()))}/s over {RATE_TICKS} ticks, limits {limit}",
                 "give a smaller or slower one, or widen the limit",
             )

@@ -91,7 +91,7 @@ export class Board {
     const { plot, kind, name, views } = panel;
     const { required } = this.loop;
     plot.colours = coloursOf(plot.canvas);
-    plot.begin();
+    plot.start();
     if (kind === "nichols") nicholsChart(plot, required);
     else if (kind === "db") sizeGuides(plot, name, required);
     else if (name === "L") phaseGuides(plot, required);

@@ -179,7 +179,7 @@ export class Screen {
     }
     for (const [plot, curves] of [[this.size, sizes], [this.phase, phases]] as const) {
       if (plot.canvas.hidden) continue;
-      plot.begin();
+      plot.start();
       this.guides(plot);
       if (this.others && !this.hidden.has(this.front)) {
         const other = responseOf(this.others[this.front], this.shown);
@@ -203,7 +203,7 @@ export class Screen {
     const front = steps.get(this.front) ?? null;
     const other = this.others && !this.hidden.has(this.front) ? this.asked.step(this.front, true) : null;
     if (!this.hold) plot.show(...stepAxes([...steps.values(), other], front));
-    plot.begin();
+    plot.start();
     plot.level(1, { colour: plot.colours.ink, width: 1, dash: [6, 3] });
     if (other) plot.curve({ x: other.timeS, y: other.y }, { colour: plot.colours.other, width: 2, dash: [7, 4] });
     for (const [k, one] of steps) if (one) plot.curve({ x: one.timeS, y: one.y }, this.style(plot, k));
@@ -293,7 +293,7 @@ export class Screen {
       const tall = plot.canvas.clientHeight / Math.max(plot.canvas.clientWidth, 1);
       plot.show(LINEAR(-3, 1.5, "Re L", 0.5), LINEAR(-2.25 * tall, 2.25 * tall, "Im L", 0.5));
     }
-    plot.begin();
+    plot.start();
     (isNichols ? nicholsChart : nyquistChart)(plot, this.required);
     const curveOf = ({ L }: Trace) => (isNichols ? nicholsCurve(L) : { x: L.re, y: L.im });
     if (this.others && !this.hidden.has(this.front)) {

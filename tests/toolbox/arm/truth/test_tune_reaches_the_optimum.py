@@ -12,7 +12,7 @@ from source_controllers import angle_controller
 
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
-from loopshape.design.search import LARGEST, begin, search
+from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tighten import tighten_limits
 from loopshape.loop.verdict import loops_of, verdict_on
 
@@ -249,7 +249,7 @@ def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
         named = {plants[k].recording: replace(loops[k], controllers=controller) for k in chosen}
         return verdict_on(named, limits, detuned=False)
 
-    begun = begin(p, np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55]))
+    begun = initial_point(p, np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55]))
     found = tighten_limits(p, search(p, begun, LARGEST, 300), judge)
     assert found.verdict.passed
     assert len(found.verdict.margins) == 24

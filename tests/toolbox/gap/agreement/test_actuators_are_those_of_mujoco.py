@@ -12,7 +12,7 @@ from loopshape.toolbox.gap.mechanism.mechanism import machine
 from loopshape.toolbox.gap.mechanism.numbers import Numbers
 from loopshape.toolbox.gap.nouns.machine import Mechanism
 from loopshape.toolbox.gap.own.composed import Composed
-from loopshape.toolbox.gap.own.following import extended, followed, simulated
+from loopshape.toolbox.gap.own.following import extended, simulated, simulated_along
 
 mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 
@@ -134,7 +134,7 @@ def test_a_recorded_command_beyond_its_range_is_what_mujoco_makes_of_it(kind):
     angle = np.concatenate([[0.3], stepped(xml, commands, 20, start)[:-1, 1]])
     columns = {"goal": commands[:, 0], "up_n": commands[:, 1], "a_rad": angle}
     composed = Composed(model)
-    f = followed(composed, ls.Recording(RecordingInfo("r.parquet", "noise", "reference"), 500.0, columns), None)
+    f = simulated_along(composed, ls.Recording(RecordingInfo("r.parquet", "noise", "reference"), 500.0, columns), None)
     mine = simulated(composed, f, {}, extended(composed, f, start[None]))
     np.testing.assert_allclose(mine, f.measured, atol=2e-4)
 
@@ -413,7 +413,7 @@ def test_the_state_of_a_filter_is_known_from_the_commands():
     rows = np.vstack([np.zeros(7), stepped(xml, commands, 20, np.zeros(7))[:-1]])
     columns = {"goal": commands[:, 0], "up_n": commands[:, 1], "a_rad": rows[:, 1]}
     composed = Composed(model)
-    f = followed(composed, ls.Recording(RecordingInfo("r.parquet", "noise", "reference"), 500.0, columns), None)
+    f = simulated_along(composed, ls.Recording(RecordingInfo("r.parquet", "noise", "reference"), 500.0, columns), None)
     state = model.states.index("tried_activation")
     assert composed.lags == pytest.approx({state: 1.0 / 0.05})
     assert f.first[0] == 75

@@ -8,7 +8,7 @@ import loopshape as ls
 from loopshape.toolbox.gap.mechanism.mechanism import machine
 from loopshape.toolbox.gap.nouns.machine import Mechanism
 from loopshape.toolbox.gap.own.composed import Composed
-from loopshape.toolbox.gap.own.following import extended, followed, simulated
+from loopshape.toolbox.gap.own.following import extended, simulated, simulated_along
 
 mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 
@@ -69,7 +69,7 @@ def test_a_replay_is_the_one_that_mujoco_steps():
     columns = dict(zip(names, np.hstack([u, theirs]).T, strict=True))
     info = RecordingInfo("r.parquet", "noise", "reference", operating_point={})
     composed = Composed(model)
-    f = followed(composed, ls.Recording(info, 1000.0, columns), None)
+    f = simulated_along(composed, ls.Recording(info, 1000.0, columns), None)
     x = np.tile(x0, (len(f.first), 1))
     mine = simulated(composed, f, {}, extended(composed, f, x))[0]
     np.testing.assert_allclose(mine, f.measured[0], atol=2e-6)

@@ -8,8 +8,8 @@ from loopshape.toolbox.gap.diagnose.decide import (
     ONE_EFFECT,
     WRONG_FORM_LEAVES,
     WRONG_FORM_PAIRS,
+    decided,
     healthy_prior,
-    judged,
     probabilities,
 )
 from loopshape.toolbox.gap.nouns.effect import EffectForm
@@ -22,7 +22,7 @@ SEEN = {  # a cart with an effect that is in no list, as it was answered: a pair
 
 
 def test_a_pair_that_leaves_more_than_noise_is_refuted_and_what_is_unlisted_stays_unknown():
-    out = judged(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 37.0, "friction@rail": 178.0})
+    out = decided(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 37.0, "friction@rail": 178.0})
     assert next(iter(out)) == "unknown"
     assert out["friction@rail"] / out["unknown"] == pytest.approx(WRONG_FORM_LEAVES)  # its other forms leave as much
     assert sum(out.values()) == pytest.approx(1.0)
@@ -30,14 +30,14 @@ def test_a_pair_that_leaves_more_than_noise_is_refuted_and_what_is_unlisted_stay
 
 def test_a_second_effect_that_takes_up_what_a_form_leaves_gives_way_to_the_first():
     seen = SEEN | {"friction@rail": 4e-11, "unknown": 2e-11}
-    out = judged(seen, PAIRS, 467.0, {"play@rail+friction@rail": 41.0, "friction@rail": 80.0})
+    out = decided(seen, PAIRS, 467.0, {"play@rail+friction@rail": 41.0, "friction@rail": 80.0})
     assert next(iter(out)) == "friction@rail"
     assert out["unknown"] > 0.2  # what is left is not hidden
     assert sum(out.values()) == pytest.approx(1.0)
 
 
 def test_a_pair_that_leaves_only_noise_stays_and_is_no_surer_than_a_wrong_form_allows():
-    out = judged(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 0.6, "friction@rail": 178.0})
+    out = decided(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 0.6, "friction@rail": 178.0})
     assert list(out)[:2] == ["play@rail+friction@rail", "friction@rail"]
     assert out["play@rail+friction@rail"] == pytest.approx(1.0 / (1.0 + WRONG_FORM_PAIRS))
     assert sum(out.values()) == pytest.approx(1.0)
@@ -45,17 +45,17 @@ def test_a_pair_that_leaves_only_noise_stays_and_is_no_surer_than_a_wrong_form_a
 
 def test_a_single_form_may_leave_a_little_and_no_more():
     seen = {"friction@rail": 0.9, "unknown": 0.1, "none": 0.0}
-    assert judged(seen, PAIRS, 100.0, {"friction@rail": 15.0}) == seen
-    assert next(iter(judged(seen, PAIRS, 100.0, {"friction@rail": 30.0}))) == "unknown"
+    assert decided(seen, PAIRS, 100.0, {"friction@rail": 15.0}) == seen
+    assert next(iter(decided(seen, PAIRS, 100.0, {"friction@rail": 30.0}))) == "unknown"
 
 
 def test_what_names_no_effect_is_left_as_it_is():
     for seen in ({"none": 0.9, "friction@rail": 0.1}, {"unknown": 0.6, "friction@rail": 0.4}):
-        assert judged(seen, PAIRS, 2.0, {"friction@rail": 2.0}) == seen
+        assert decided(seen, PAIRS, 2.0, {"friction@rail": 2.0}) == seen
 
 
 def test_unknown_by_many_recordings_is_no_surer_than_a_wrong_form_allows():
-    out = judged({"unknown": 1.0 - 1e-12, "friction@rail": 1e-12, "none": 0.0}, PAIRS, 90.0, {"friction@rail": 60.0})
+    out = decided({"unknown": 1.0 - 1e-12, "friction@rail": 1e-12, "none": 0.0}, PAIRS, 90.0, {"friction@rail": 60.0})
     assert out["friction@rail"] / out["unknown"] == pytest.approx(WRONG_FORM_LEAVES)
     assert out["none"] == 0.0
 

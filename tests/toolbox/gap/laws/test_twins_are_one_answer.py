@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from loopshape.toolbox.gap.diagnose import attribute, decide, fitting
-from loopshape.toolbox.gap.diagnose.decide import judged
+from loopshape.toolbox.gap.diagnose.decide import decided
 from loopshape.toolbox.gap.diagnose.evidence import Cell, Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 from loopshape.toolbox.gap.diagnose.told_apart import Scale, groups, main_effect
@@ -75,8 +75,8 @@ def test_the_main_effect_of_a_pair_moves_most(push, rub, main):
 def test_a_refused_pair_leaves_its_probability_to_its_main_effect():
     pairs, seen = {"late+rub"}, {"late+rub": 0.9, "rub": 0.05, "late": 0.03, "unknown": 0.01, "none": 0.01}
     after = {"late+rub": 3.0, "rub": 6.0}
-    assert next(iter(judged(seen, pairs, 50.0, after, 3.0))) == "rub"
-    out = judged(seen, pairs, 50.0, after, 3.0, main="late")
+    assert next(iter(decided(seen, pairs, 50.0, after, 3.0))) == "rub"
+    out = decided(seen, pairs, 50.0, after, 3.0, main="late")
     assert next(iter(out)) == "late"
     assert sum(out.values()) == pytest.approx(1.0)
 
@@ -84,5 +84,5 @@ def test_a_refused_pair_leaves_its_probability_to_its_main_effect():
 def test_a_second_effect_that_does_not_matter_is_none():
     pairs, seen = {"late+rub"}, {"late+rub": 0.9, "rub": 0.05, "late": 0.03, "unknown": 0.01, "none": 0.01}
     after = {"late+rub": 0.9, "rub": 2.5}  # 2.3 floors are the second's, and the noise is reached
-    assert next(iter(judged(seen, pairs, 50.0, after, 1.0, matters=1.0, main="rub"))) == "late+rub"
-    assert next(iter(judged(seen, pairs, 50.0, after, 1.0, matters=5.0, main="rub"))) == "rub"
+    assert next(iter(decided(seen, pairs, 50.0, after, 1.0, matters=1.0, main="rub"))) == "late+rub"
+    assert next(iter(decided(seen, pairs, 50.0, after, 1.0, matters=5.0, main="rub"))) == "rub"

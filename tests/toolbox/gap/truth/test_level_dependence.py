@@ -95,7 +95,7 @@ def on_grids_of_their_own(levels, apart_hz=(0.325, 0.175), **machine):
 def test_levels_on_grids_of_their_own_are_judged_on_the_coarser(apart_hz):
     (one,) = on_grids_of_their_own(LEVELS, apart_hz, cubic=0.002)
     expected = equivalent_hz(LEVELS[1], 0.002) / equivalent_hz(LEVELS[0], 0.002) - 1.0
-    assert one.judged
+    assert one.decidable
     assert one.frequencies > 100
     assert one.resonance.bend is Bend.HARDENING
     assert one.resonance.change == pytest.approx(expected, rel=0.25)
@@ -104,7 +104,7 @@ def test_levels_on_grids_of_their_own_are_judged_on_the_coarser(apart_hz):
 @pytest.mark.long
 def test_a_linear_machine_on_grids_of_its_own_shows_none():
     runs = [on_grids_of_their_own(LEVELS, seed=100 + k)[0] for k in range(8)]
-    assert all(one.judged for one in runs)
+    assert all(one.decidable for one in runs)
     assert sum(not one.linear for one in runs) <= 1
 
 
@@ -112,7 +112,7 @@ def test_levels_measured_in_bands_of_their_own_are_not_judged_and_that_is_report
     run = run_of(LEVELS, cubic=0.002)
     low, high = (f.between(*band) for f, band in zip(ls.frfs(run, method="welch"), ((5, 30), (40, 90)), strict=True))
     (one,) = level_dependences(run, [low, high])
-    assert not one.judged
+    assert not one.decidable
     assert not one.linear
     assert one.frequencies == 0
     assert one.resonance is one.gain is one.peak is None

@@ -15,7 +15,7 @@ from two_targets import Second
 
 import loopshape as ls
 from loopshape.toolbox.rig.target.blocks import Block
-from loopshape.toolbox.rig.target.messages import Configuration, Identity, Request, begin
+from loopshape.toolbox.rig.target.messages import Configuration, Identity, Request, start_payload
 
 RATE = 1000.0
 COUPLING = 0.2
@@ -127,7 +127,7 @@ def test_the_core_in_c_steps_as_the_simulation(name):
     sections = tuple(given.get(f"axis{k}", GAIN) for k in (1, 2))
     bench = Bench(built())
     bench.arm(tuple(sensors[0]), watchdog_ms=60000, limits=WIDE, outputs=np.eye(2, 3), sections=sections, blocks=made)
-    bench.ok(Request.BEGIN, begin(1, n, 1, 0, 0, False))
+    bench.ok(Request.BEGIN, start_payload(1, n, 1, 0, 0, False))
     bench.ok(Request.GO, struct.pack("<I", 1))
     while bench.status().tick == 0:
         bench.tick(1)

@@ -16,9 +16,9 @@ from loopshape.toolbox.rig.target.messages import (
     Request,
     Response,
     State,
-    begin,
     rows,
     setpoint,
+    start_payload,
 )
 
 STATES = list(State)
@@ -34,7 +34,7 @@ REQUESTS = {
     Request.READY: (b"", [State.IDLE]),
     Request.ARM: (None, [State.IDLE]),
     Request.SETPOINT: (setpoint(0.0, [0.0, 1.0]), [State.ARMED]),
-    Request.BEGIN: (begin(9, 5, 0, 2, 0, False), [State.ARMED]),
+    Request.BEGIN: (start_payload(9, 5, 0, 2, 0, False), [State.ARMED]),
     Request.ROWS: (rows(1, 0, np.zeros((1, 1)), "<f8"), STATES),
     Request.GO: (b"\1\0\0\0", [State.ARMED]),
     Request.STOP: (b"", STATES),
@@ -98,7 +98,7 @@ def test_identity(bench):
 
 def test_a_request_that_comes_twice_is_done_once(bench):
     bench.arm()
-    go = Frame(Request.BEGIN, 4000, begin(3, 5, 0, 2, 0, False)).encoded
+    go = Frame(Request.BEGIN, 4000, start_payload(3, 5, 0, 2, 0, False)).encoded
     part = Frame(Request.ROWS, 4001, rows(3, 0, np.ones((2, 1)), "<f8")).encoded
     bench.send(go + part + part + part)
     first, *others = bench.taken()[1:]
@@ -224,7 +224,7 @@ def test_arming_is_bumpless_and_the_setpoint_is_reached_in_a_straight_line(bench
 
 def test_rows_are_taken_in_order_and_as_many_as_there_is_room_for(bench):
     bench.arm(watchdog_ms=60000)
-    assert struct.unpack("<I", bench.ok(Request.BEGIN, begin(1, 100, 0, 2, 0, False))) == (64,)
+    assert struct.unpack("<I", bench.ok(Request.BEGIN, start_payload(1, 100, 0, 2, 0, False))) == (64,)
 
     def asked(first, count):
         return struct.unpack("<II", bench.ok(Request.ROWS, rows(1, first, np.full((count, 1), 0.1), "<f8")))
@@ -259,7 +259,7 @@ def test_rows_that_come_after_the_end_are_answered(bench):
 )
 def test_a_recording_out_of_range_is_not_announced(bench, words, code):
     bench.arm()
-    assert bench.no(Request.BEGIN, begin(*words, *(0, False)[len(words) - 4 :])) == code
+    assert bench.no(Request.BEGIN, start_payload(*words, *(0, False)[len(words) - 4 :])) == code
     assert bench.no(Request.GO, b"\1\0\0\0") == 7
 
 

@@ -13,7 +13,7 @@ from python_target_line import Faults, Running
 from run_files import finished, read_journal, verify
 
 import loopshape as ls
-from loopshape.io.run.stream_log import ARRIVING, EARLIER, arriving, keep_arrived, read_arriving
+from loopshape.io.run.stream_log import ARRIVING, EARLIER, keep_arrived, open_stream_log, read_arriving
 from loopshape.toolbox.rig.verbs.machine import ended_early
 
 NAMES = ["x_rad", "u_v"]
@@ -23,7 +23,7 @@ def written(folder, blocks, seed=1):
     """An arriving file of blocks of these lengths: its bytes, and where each block ends with how many rows."""
     rng, ends = np.random.default_rng(seed), []
     rows = rng.standard_normal((sum(blocks), 2))
-    with arriving(folder, "one", {"kind": "none"}, 1000.0, NAMES) as append:
+    with open_stream_log(folder, "one", {"kind": "none"}, 1000.0, NAMES) as append:
         for k, count in enumerate(blocks):
             part = rows[sum(blocks[:k]) : sum(blocks[:k]) + count]
             append({name: part[:, j] for j, name in enumerate(NAMES)})

@@ -10,7 +10,7 @@ from python_target_line import Faults, Pty, Running
 from run_files import finished, verify
 
 import loopshape as ls
-from loopshape.toolbox.rig.target import session, taking
+from loopshape.toolbox.rig.target import acquisition, session
 
 pytestmark = pytest.mark.timeout(60)  # a hang is a failure
 NAMES = ("one", "two")
@@ -25,7 +25,7 @@ def soon(monkeypatch):
     """A request is sent again sooner than by default, and given up after the same time: the tests wait less."""
     monkeypatch.setattr(session, "ANSWER_S", 0.03)
     monkeypatch.setattr(session, "TRIES", 20)
-    monkeypatch.setattr(taking, "PATIENCE_S", 0.02)
+    monkeypatch.setattr(acquisition, "PATIENCE_S", 0.02)
 
 
 @pytest.fixture(scope="module")
@@ -163,7 +163,7 @@ def test_in_real_time_a_bad_line_gives_what_the_machine_did_or_nothing(tmp_path)
 
 @pytest.mark.parametrize("words", [{"buffer": 0}, {"buffer": 20}, {"memory": 20}, {"memory": 30, "buffer": 50}])
 def test_a_target_with_little_memory_is_slow_or_refused(tmp_path, expected, words, monkeypatch):
-    monkeypatch.setattr(taking, "STILL_S", 0.5)
+    monkeypatch.setattr(acquisition, "STILL_S", 0.5)
     run = tmp_path / "run"
     with Running(lambda: target(**words)) as running:
         said = tried(write_study(tmp_path, TEXT), run, running)
@@ -171,7 +171,7 @@ def test_a_target_with_little_memory_is_slow_or_refused(tmp_path, expected, word
 
 
 def test_a_target_that_stands_still_is_given_up(tmp_path, monkeypatch):
-    monkeypatch.setattr(taking, "STILL_S", 0.5)
+    monkeypatch.setattr(acquisition, "STILL_S", 0.5)
     stuck = target()
     stuck.step = lambda now, ticks: (setattr(stuck, "now", now), 0)[1]
     begun = time.monotonic()

@@ -8,7 +8,7 @@ import pytest
 import loopshape as ls
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.files.study import read_study
-from loopshape.toolbox.rig.target.intake import Intake
+from loopshape.toolbox.rig.target.acquisition import SampleTable
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Identity, Samples
 from loopshape.toolbox.rig.target.target import configuration
@@ -158,7 +158,7 @@ def samples(first, values, run=1):
 
 
 def test_samples_are_taken_in_order_and_a_gap_is_known():
-    intake = Intake(1, 10, 1)
+    intake = SampleTable(1, 10, 1)
     assert intake.take(samples(0, [0, 1])).ravel().tolist() == [0, 1]
     assert intake.take(samples(4, [4, 5])).size == 0
     assert intake.lacking == 4
@@ -170,7 +170,7 @@ def test_samples_are_taken_in_order_and_a_gap_is_known():
 
 
 def test_samples_of_another_run_or_beyond_the_end_are_not_taken():
-    intake = Intake(1, 3, 1)
+    intake = SampleTable(1, 3, 1)
     assert intake.take(samples(0, [9], run=2)).size == 0
     assert intake.take(samples(2, [1, 2])).size == 0
     assert (intake.received, intake.lacking) == (0, 0)
@@ -188,7 +188,7 @@ def test_samples_of_another_run_or_beyond_the_end_are_not_taken():
     ],
 )
 def test_limits_and_rates_of_what_arrived(values, expected):
-    intake = Intake(1, len(values), 1)
+    intake = SampleTable(1, len(values), 1)
     new = len(intake.take(samples(0, values)))
     found = intake.passed(new, slice(0, 1), np.array([[-1.0, 1.0, 8.0]]), 1000.0)
     assert found == (None if expected is None else pytest.approx(expected))

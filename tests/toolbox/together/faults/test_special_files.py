@@ -13,7 +13,7 @@ from run_files import write_json
 
 import loopshape as ls
 from loopshape.io.folder_lock import alone
-from loopshape.toolbox.rig.files.measuring import MARK, begun, driver, marked
+from loopshape.toolbox.rig.files.measuring import MARK, driver, marked, started_at
 
 #: each file with the commands that read it
 READ = {
@@ -117,7 +117,8 @@ def bystander():
 def test_stop_leaves_a_process_alone_that_bears_an_old_number(files, bystander, noted):
     run = files / "run"
     write_json(
-        run / MARK, {"pid": bystander.pid, "port": "tcp://127.0.0.1:9"} | ({} if noted is None else {"begun": noted})
+        run / MARK,
+        {"pid": bystander.pid, "port": "tcp://127.0.0.1:9"} | ({} if noted is None else {"started_at": noted}),
     )
     with alone(run):  # another command is at work there
         done = command(("stop", run))
@@ -128,10 +129,10 @@ def test_stop_leaves_a_process_alone_that_bears_an_old_number(files, bystander, 
 
 
 def test_stop_says_of_a_process_that_is_gone_that_it_ended(files, bystander):
-    run, when = files / "run", begun(bystander.pid)
+    run, when = files / "run", started_at(bystander.pid)
     bystander.kill()
     bystander.wait()
-    write_json(run / MARK, {"pid": bystander.pid, "begun": when, "port": "x"})
+    write_json(run / MARK, {"pid": bystander.pid, "started_at": when, "port": "x"})
     with alone(run):
         done = command(("stop", run))
     assert done.code == 2

@@ -74,7 +74,7 @@ def test_an_input_measured_with_noise_is_a_false_alarm_as_rarely(excitation, noi
     def found(seed):
         rng = np.random.default_rng(seed)
         u = excitation(rng)
-        return feedback_check(u / u.std() + noise * rng.standard_normal(N), open_loop(u / u.std(), rng, 0.05)).found
+        return feedback_check(u / u.std() + noise * rng.standard_normal(N), open_loop(u / u.std(), rng, 0.05)).detected
 
     assert sum(found(seed) for seed in range(100)) <= 4  # 1 % of a hundred, and what chance adds to it
 
@@ -163,16 +163,16 @@ def test_between_periods_a_nonlinear_plant_is_no_feedback_and_noise_fed_back_is(
 
     rng = np.random.default_rng(1)
     still_one = feedback_check(*still(rng), period=500)
-    assert still_one.told
-    assert not still_one.found
+    assert still_one.decidable
+    assert not still_one.detected
     assert "repeats exactly" in still_one.sentence
     # without the period it is found by itself
     guessed = feedback_check(*still(rng))
-    assert guessed.told
-    assert not guessed.found
+    assert guessed.decidable
+    assert not guessed.detected
     # the controller's law is exact in the log: only from the next row on can the plant answer
-    assert not feedback_check(*fed_back(rng), period=500).told
-    assert feedback_check(*fed_back(rng), period=500, answers_after=1).found
+    assert not feedback_check(*fed_back(rng), period=500).decidable
+    assert feedback_check(*fed_back(rng), period=500, answers_after=1).detected
 
 
 @pytest.mark.parametrize("stated", [True, False])
@@ -187,7 +187,7 @@ def test_an_input_that_repeats_is_no_feedback_whatever_follows_it(jitter, period
         y = np.roll(x + 0.3 * np.abs(x) * x, -3) + 0.02 * rng.standard_normal(u.size)
         whole = record("control", "multisine", u, u, y, 500 / RATE if stated else None, 0.0 if stated else None)
         assert open_loop_note(whole, LOOP) == ()
-        assert not loop_feedback(whole, LOOP).found
+        assert not loop_feedback(whole, LOOP).detected
 
 
 def test_an_input_of_two_values_under_feedback_may_repeat_and_is_tested():
@@ -220,19 +220,19 @@ def test_a_loop_that_was_called_open_is_told():
     assert "-1/C" in note
     honest = record("control", "noise", n, n, open_loop(n, rng))
     assert open_loop_note(honest, LOOP) == ()
-    assert not loop_feedback(honest, LOOP, 1e-4).found
+    assert not loop_feedback(honest, LOOP, 1e-4).detected
 
 
 def test_what_cannot_be_told_is_not_told():
     rng = np.random.default_rng(4)
     u = white(rng)
     found = feedback_check(u, lfilter(B, A, u))
-    assert not found.found
-    assert not found.told
+    assert not found.detected
+    assert not found.decidable
     assert "without noise" in found.sentence
     t = np.arange(N) / RATE
     sine = feedback_check(np.sin(t), np.cos(t) + 0.1 * rng.standard_normal(N))
-    assert not sine.found
+    assert not sine.detected
 
 
 @pytest.mark.long

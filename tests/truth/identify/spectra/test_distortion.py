@@ -134,7 +134,7 @@ def reference_loop():
 def test_where_all_lines_are_excited_it_cannot_tell():
     u = multisine(tuple(0.25 * k for k in range(1, 80)))
     found = distortion(record(u, u + 0.1 * u**2), OPEN)
-    assert not found.told
+    assert not found.decidable
     assert found.bands == ()
     assert "every frequency of the band was excited" in found.verdict
     assert "odd multisine that leaves out" in found.verdict
@@ -152,7 +152,7 @@ def test_where_odd_and_even_lines_are_excited_it_does_not_split_the_rest():
     u = multisine(tuple(0.25 * k for k in (1, 2, 4, 5, 9, 12, 20, 33, 41, 60)))
     found = distortion(record(u, u + 0.1 * u**2), OPEN)
     assert found.mixed is not None
-    assert not found.told
+    assert not found.decidable
     assert "cannot be separated" in found.verdict
 
 
@@ -168,7 +168,7 @@ def test_a_record_without_two_periods_cannot_tell():
     u = multisine()
     for period_s, word in ((None, "does not repeat"), (20.0, "holds 1 whole period")):
         found = distortion(record(u, u, period_s), OPEN)
-        assert not found.told
+        assert not found.decidable
         assert word in found.verdict
 
 

@@ -19,7 +19,7 @@ from several_cases import (
 )
 
 from loopshape.loop.matrix.determinant import closed_loops_stability, count_from_held
-from loopshape.loop.stability.obstacles import Obstacle
+from loopshape.loop.stability.obstacles import Undecided
 
 
 def random_case(rng, n, low, high, lines=600):
@@ -73,10 +73,10 @@ def test_from_loops_that_stood_nothing_has_to_be_declared(low):
         made = Loop(held.plant, new, None, 0, recorded_under=held.controllers)
         count = count_from_held(made)
         unstable = int(np.sum(poles(*plant, new).real > 0.0))
-        if not isinstance(count, Obstacle):
+        if not isinstance(count, Undecided):
             assert count == unstable
             assert closed_loops_stability(made).outcome == ("unstable" if unstable else "stable")
-        outcomes.append((isinstance(count, Obstacle), unstable > 0))
+        outcomes.append((isinstance(count, Undecided), unstable > 0))
     assert outcomes.count((False, False)) > 15
     assert outcomes.count((False, True)) > 2
 

@@ -6,7 +6,7 @@ from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of, with_mode
 
 from loopshape.data.response.smoothed import spread
-from loopshape.loop.stability.obstacles import WRONG, chance_of_error, reach_of
+from loopshape.loop.stability.obstacles import WRONG, chance_of_error, radius_of
 from loopshape.loop.stability.stability import closed_loop_stability
 
 STABLE = ("one integrator", "two integrators", "three integrators", "unstable pole")
@@ -125,10 +125,10 @@ def test_the_chance_of_all_lines_together_is_the_normal_one():
 
 def test_a_variance_known_badly_counts_for_less():
     g, std = np.array([0.4 + 0.0j]), np.array([0.1])
-    assert reach_of(g, std)[0] == pytest.approx(4.0)
-    assert reach_of(g, std, 6.0)[0] < 2.5
-    assert reach_of(g, std, 1e6)[0] == pytest.approx(4.0, rel=1e-3)
-    assert np.isinf(reach_of(g, np.zeros(1))[0])
+    assert radius_of(g, std)[0] == pytest.approx(4.0)
+    assert radius_of(g, std, 6.0)[0] < 2.5
+    assert radius_of(g, std, 1e6)[0] == pytest.approx(4.0, rel=1e-3)
+    assert np.isinf(radius_of(g, np.zeros(1))[0])
 
 
 def scattered(plant, f_hz, width_hz, rng):

@@ -13,7 +13,7 @@ from tune_plants import DELAYED
 from tune_plants import frf as delayed
 
 import loopshape as ls
-from loopshape.loop.stability.mode_clusters import cluster_bands, crowd_of
+from loopshape.loop.stability.mode_clusters import cluster_bands, cluster_of
 from loopshape.loop.stability.stability import closed_loop_stability
 
 PLANT = PLANTS["one integrator"]
@@ -58,7 +58,7 @@ def test_poles_and_residues_of_two_that_stand_close_are_found():
     P, rough = plant.response(LINES), np.zeros(LINES.size - 1, dtype=bool)
     rough[138:146] = True
     (stretch,) = cluster_bands(LINES, rough)
-    crowd = crowd_of(LINES, P, (1e-6 * np.abs(P)) ** 2, np.inf, stretch)
+    crowd = cluster_of(LINES, P, (1e-6 * np.abs(P)) ** 2, np.inf, stretch)
     at = np.linspace(14.0, 14.6, 2000)
     for f_hz, width, _ in modes:
         k = int(np.argmin(np.abs(crowd.pole_hz[0] - complex(f_hz, width * GAP))))
@@ -80,7 +80,7 @@ def shares_of_the_other_sign():
     std = 0.02 * np.abs(P)
     for seed in range(6):
         noisy = P + std * errors(np.random.default_rng(seed), LINES.size)
-        pole_hz = crowd_of(LINES, noisy, std**2, np.inf, *cluster_bands(LINES, rough), unstable=True).pole_hz
+        pole_hz = cluster_of(LINES, noisy, std**2, np.inf, *cluster_bands(LINES, rough), unstable=True).pole_hz
         sharp = pole_hz[:, np.argmin(np.abs(pole_hz[0].imag))]
         yield np.mean(np.sign(sharp.imag) != np.sign(sharp[0].imag))
 

@@ -73,7 +73,7 @@ def test_without_the_point_that_misses_it_passes():
 
 
 @pytest.mark.parametrize("quantity", ["sensitivity_peak_db", "complementary_peak_db", "control_peak_db"])
-def test_a_peak_is_at_most_what_is_wished(quantity):
+def test_a_peak_is_at_most_what_is_required(quantity):
     found = margins(Loop(POINTS[0], controller(), 1, unstable_poles=0))
     value = getattr(found, quantity)
     over, under = (ls.check(POINTS[:1], controller(), wish(**{quantity: value + s})) for s in (-0.01, 0.01))
@@ -86,7 +86,7 @@ def test_a_peak_is_at_most_what_is_wished(quantity):
 
 
 @pytest.mark.parametrize("quantity", ["gain_margin_db", "phase_margin_deg", "modulus_margin", "delay_margin_s"])
-def test_a_margin_is_at_least_what_is_wished(quantity):
+def test_a_margin_is_at_least_what_is_required(quantity):
     value = getattr(margins(Loop(POINTS[0], controller(), 1, unstable_poles=0)), quantity)
     over, under = (ls.check(POINTS[:1], controller(), wish(**{quantity: value * s})) for s in (1.01, 0.99))
     assert (over.passed, under.passed) == (False, True)

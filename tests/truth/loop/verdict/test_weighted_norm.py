@@ -19,8 +19,8 @@ from run_files import write_frfs
 from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, required, servos
 
 import loopshape as ls
-from loopshape.design.problem.shifts import judged
-from loopshape.design.search import LARGEST, begin, search
+from loopshape.design.problem.shifts import shifted_verdict
+from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tighten import tighten_limits
 from loopshape.loop.verdict import check, loops_of
 
@@ -234,10 +234,10 @@ def test_where_no_limit_binds_and_stability_is_undecided_the_search_goes_on_at_a
 
     def judge(controller, points=None):
         asks.append(points)
-        found = judged(loops, controller, asked, points)
+        found = shifted_verdict(loops, controller, asked, points)
         unsure = {name: replace(one, stable="undecided") for name, one in found.margins.items()}
         return replace(found, margins=unsure)
 
-    tighten_limits(p, search(p, begin(p, np.log([0.2, 10.0, 200.0])), LARGEST, 50), judge)
+    tighten_limits(p, search(p, initial_point(p, np.log([0.2, 10.0, 200.0])), LARGEST, 50), judge)
     assert len(asks) > 1
     assert all(points is None or len(points) > 0 for points in asks)

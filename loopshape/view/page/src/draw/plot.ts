@@ -49,11 +49,11 @@ export function coloursOf(element: Element): Colours {
 }
 
 function niceStep(span: number, count: number, steps: number[]): number {
-  const rough = span / count;
-  const size = 10 ** Math.floor(Math.log10(rough));
-  const degrees = steps.find((step) => step >= rough);
+  const coarse = span / count;
+  const size = 10 ** Math.floor(Math.log10(coarse));
+  const degrees = steps.find((step) => step >= coarse);
   if (span > 60 && degrees) return degrees;
-  return ([1, 2, 5, 10].find((k) => k * size >= rough) ?? 10) * size;
+  return ([1, 2, 5, 10].find((k) => k * size >= coarse) ?? 10) * size;
 }
 
 export function words(value: number): string {
@@ -124,7 +124,7 @@ export class Plot {
     if (this.zoomed && !inside) this.pan(this.width / 2 - px, this.height / 2 - py);
   }
 
-  begin(): void {
+  start(): void {
     const ratio = Math.max(window.devicePixelRatio || 1, this.canvas.closest(".printing") ? 3 : 1);
     this.width = this.canvas.clientWidth;
     this.height = this.canvas.clientHeight;

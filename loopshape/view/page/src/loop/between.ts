@@ -9,7 +9,7 @@ import type { Loop } from "./loop";
 import type { ModeCluster, Hidden } from "../payload";
 import { angleOf, chords, turnAlong } from "./turns";
 
-export interface UndecidedReason {
+export interface Undecided {
   reason: string;
   band_hz: [number, number] | null;
 }
@@ -19,22 +19,22 @@ export const short = (value: number, digits = 3): string => String(Number(value.
 /** What lies between lines and not on a path along them (Python: `Sampling`). */
 export interface Past {
   turns: number;
-  followed: Uint8Array;
-  unclear: UndecidedReason | null;
+  interpolated: Uint8Array;
+  unclear: Undecided | null;
 }
 
 /** Turns of 1 + L past resonances of the plant that lines and path step over. */
 export function pastResonances(loop: Loop): Past {
   const { point, f } = loop;
-  const out: Past = { turns: 0, followed: new Uint8Array(Math.max(f.length - 1, 0)), unclear: null };
+  const out: Past = { turns: 0, interpolated: new Uint8Array(Math.max(f.length - 1, 0)), unclear: null };
   const near = point.clusters.length || point.interpolation_residual ? nearest(loop) : null;
   const clusters = near ? reached(loop, near) : [];
   for (const cluster of clusters) if (cluster.left !== "scatter") pastCluster(loop, cluster, out);
   for (const pole of point.hidden) {
-    if (out.followed[clip(placeIn(f, pole.centre[0]) - 1, 0, f.length - 2)]) continue;
+    if (out.interpolated[clip(placeIn(f, pole.centre[0]) - 1, 0, f.length - 2)]) continue;
     const { first, last, least, most, sure } = turnsPast(loop, pole);
     out.turns += least;
-    out.followed.fill(1, first, last);
+    out.interpolated.fill(1, first, last);
     if (least === most && sure) continue;
     const words = `a resonance between ${short(f[first], 4)} and ${short(f[last], 4)} Hz, sharper than the lines, may or may not encircle -1`;
     out.unclear ??= { reason: `${words}: measure finer there`, band_hz: [f[first], f[last]] };
@@ -69,7 +69,7 @@ function pastCluster(loop: Loop, cluster: ModeCluster, out: Past): void {
   const { low, high } = cluster;
   const { least, most, near, sure } = turnsPastCluster(cluster, loop);
   out.turns += least;
-  out.followed.fill(1, low, high);
+  out.interpolated.fill(1, low, high);
   const size = largerC(loop);
   const hidden = gapsWhere(near, (value, k) => size[low + k] * cluster.hidden[k] > plant.source.constants.sharpest * f[low + k] * value);
   if (hidden.length) out.unclear ??= unexplained(f[low + hidden[0]], f[low + hidden[hidden.length - 1] + 1]);
@@ -80,7 +80,7 @@ function pastCluster(loop: Loop, cluster: ModeCluster, out: Past): void {
 }
 
 /** Gaps about which lines scatter so near -1 that their error, a disk about them, holds it. */
-function scatters(loop: Loop, near: Real, clusters: ModeCluster[]): UndecidedReason | null {
+function scatters(loop: Loop, near: Real, clusters: ModeCluster[]): Undecided | null {
   const { f, point, plant } = loop;
   const { interpolation_residual } = point;
   if (!interpolation_residual) return null;
@@ -94,7 +94,7 @@ function scatters(loop: Loop, near: Real, clusters: ModeCluster[]): UndecidedRea
 const gapsWhere = (values: Real, holds: (value: number, k: number) => boolean): number[] =>
   Array.from(values.keys()).filter((k) => holds(values[k], k));
 
-function unexplained(low: number, high: number): UndecidedReason {
+function unexplained(low: number, high: number): Undecided {
   const reason = `neither noise nor resonances explain the lines between ${short(low, 4)} and ${short(high, 4)} Hz: measure finer there`;
   return { reason, band_hz: [low, high] };
 }

@@ -12,7 +12,7 @@ export interface Turns {
   least: number;
   most: number;
   near: Real;
-  /** Whether L turns slowly enough about -1 to be followed. */
+  /** Whether L turns slowly enough about -1 to be interpolated. */
   sure: boolean;
 }
 
@@ -33,8 +33,8 @@ export function turnsPastCluster(cluster: ModeCluster, loop: Loop): Turns {
 
 /** The least of values of steps at rising places in each gap between lines. */
 function nearIn(own: Real, at: Real, values: Real): Real {
-  const begin = Array.from(own.subarray(0, -1), (x) => placeIn(at, x));
-  return Float64Array.from(begin, (from, k) => values.subarray(from, begin[k + 1] ?? values.length).reduce((a, b) => Math.min(a, b), Infinity));
+  const starts = Array.from(own.subarray(0, -1), (x) => placeIn(at, x));
+  return Float64Array.from(starts, (from, k) => values.subarray(from, starts[k + 1] ?? values.length).reduce((a, b) => Math.min(a, b), Infinity));
 }
 
 /** P past a cluster in one of its ways, anywhere. */

@@ -41,7 +41,7 @@ export class Loop {
     this.f = point.f;
     this.C = control.responseOn(controller, point.f);
     this.L = times(this.C, point.P);
-    this.dense = followed(plant.dense, controller, source);
+    this.dense = interpolated(plant.dense, controller, source);
     this.denseC = control.responseOn(controller, this.dense.f);
     this.denseL = times(this.denseC, this.dense.P);
     const own = this.dense.draws;
@@ -58,7 +58,7 @@ export class Loop {
   }
 }
 
-export function followed(known: Dense, controller: Controller, source: Source): Dense {
+export function interpolated(known: Dense, controller: Controller, source: Source): Dense {
   const { constants } = source;
   let dense = known;
   const own = controllerPlaces(controller, dense.f, source);

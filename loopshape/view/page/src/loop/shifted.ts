@@ -3,7 +3,7 @@
 import { clip, concat, placeIn, times, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import { addPole, sumsOf, type Dense, type Draws } from "../numbers/dense";
-import { followed, inSight, largestAbove, type Loop, type Plant } from "./loop";
+import { interpolated, inSight, largestAbove, type Loop, type Plant } from "./loop";
 import { aboveHz } from "./margins";
 import type { Seen } from "../payload";
 import type { Reader } from "./limits";
@@ -190,7 +190,7 @@ export function seenResonances({ point, controller, plant }: Loop): Seen[] {
 
 function linesOf(loop: Loop, plant: Plant): Lines {
   const { point, controller } = loop;
-  const dense = followed(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
+  const dense = interpolated(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
   const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws };
   return {
     ...withExtrapolated(loop, own),

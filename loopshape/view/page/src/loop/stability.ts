@@ -2,7 +2,7 @@
 // obstacles.py, holes.py). What cannot be proved here is undecided.
 
 import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
-import { pastResonances, short, type UndecidedReason, type Past } from "./between";
+import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
 import { sumsOf, type Draws } from "../numbers/dense";
 import { belowLines, holdsBelow, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
@@ -67,12 +67,12 @@ function hiddenMode({ point, controller, plant }: Loop): string {
   return "";
 }
 
-function unstableCount(loop: Loop, unstable: number): number | UndecidedReason {
+function unstableCount(loop: Loop, unstable: number): number | Undecided {
   const below = waysBelow(loop);
   const between = pastResonances(loop);
   const poles = counted(loop, unstable, between, below);
   const known = isTold(loop) || (poles !== null && holdsBelow(loop, poles));
-  const found = doubtBelow(loop) ?? undecidedReason(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (known ? null : unknownBelow(loop));
+  const found = doubtBelow(loop) ?? undecidedBy(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (known ? null : unknownBelow(loop));
   return found ?? poles ?? misfit(loop);
 }
 
@@ -105,7 +105,7 @@ export function swingNear({ point, controller, f, plant }: Loop): number {
 }
 
 /** Where the error of a model of the lowest lines may carry L over -1 below them. */
-function doubtBelow(loop: Loop): UndecidedReason | null {
+function doubtBelow(loop: Loop): Undecided | null {
   if (!loop.draws || isLarge(loop)) return null;
   const { below_ratios, radius_95 } = loop.plant.source.constants;
   const f = Float64Array.from(below_ratios.slice(1), (ratio) => loop.f[0] * ratio);
@@ -126,13 +126,13 @@ function doubtBelow(loop: Loop): UndecidedReason | null {
   return null;
 }
 
-function unknownBelow({ f, L }: Loop): UndecidedReason {
+function unknownBelow({ f, L }: Loop): Undecided {
   const size = short(Math.hypot(L.re[0], L.im[0]), 2);
   const reason = `the lowest lines do not tell how L, ${size} at ${short(f[0])} Hz, goes on below them: measure lower`;
   return { reason, band_hz: [0.1 * f[0], f[0]] };
 }
 
-function misfit(loop: Loop): UndecidedReason {
+function misfit(loop: Loop): Undecided {
   const { f, L, integrators } = loop;
   const phase = Math.round(deg(Math.atan2(L.im[0], L.re[0])));
   const reason =
@@ -186,18 +186,18 @@ function turnToFirst(
   return Math.atan2(im, 1 + re) - (re < -1 ? Math.PI : 0) * Math.sign(im || 1);
 }
 
-function undecidedReason(loop: Loop, between: Past, start: number[] | null): UndecidedReason | null {
+function undecidedBy(loop: Loop, between: Past, start: number[] | null): Undecided | null {
   return tooShort(loop) ?? comesUpAgain(loop) ?? onIt(loop, between) ?? doubt(loop, between, start) ?? between.unclear ?? hole(loop);
 }
 
-function tooShort({ f, L }: Loop): UndecidedReason | null {
+function tooShort({ f, L }: Loop): Undecided | null {
   const last = f.length - 1;
   const size = Math.hypot(L.re[last], L.im[last]);
   if (size < 1) return null;
   return { reason: `|L| is still ${short(size, 2)} at the last line, ${short(f[last])} Hz: measure higher`, band_hz: null };
 }
 
-function comesUpAgain({ point, controller }: Loop): UndecidedReason | null {
+function comesUpAgain({ point, controller }: Loop): Undecided | null {
   if (!point.above_band) return null;
   const f = point.above_band.f.filter((x) => x < 0.5 * controller.rate_hz);
   if (!f.length) return null;
@@ -211,18 +211,18 @@ function comesUpAgain({ point, controller }: Loop): UndecidedReason | null {
   };
 }
 
-/** Places of the path within gaps past a resonance that was followed, its lines not among them. */
+/** Places of the path within gaps past a resonance that was interpolated, its lines not among them. */
 function pastPlaces({ f, dense }: Loop, between: Past): Uint8Array {
   const out = new Uint8Array(dense.f.length);
-  if (!between.followed.some(Boolean)) return out;
+  if (!between.interpolated.some(Boolean)) return out;
   for (let k = 0, gap = -1; k < dense.f.length; k++) {
     if (gap + 1 < f.length && dense.f[k] === f[gap + 1]) gap += 1;
-    else out[k] = between.followed[clip(gap, 0, between.followed.length - 1)];
+    else out[k] = between.interpolated[clip(gap, 0, between.interpolated.length - 1)];
   }
   return out;
 }
 
-function onIt(loop: Loop, between: Past): UndecidedReason | null {
+function onIt(loop: Loop, between: Past): Undecided | null {
   const past = pastPlaces(loop, between);
   const near = chords(loop.denseL).map((value, k) => (past[k] || past[k + 1] ? Infinity : value));
   const k = near.reduce((best, value, i) => (value < near[best] ? i : best), 0);
@@ -239,7 +239,7 @@ function sizesOf(draws: Draws, n: number): { std: Real; common: Real } {
   return { std: power.map((value) => Math.sqrt(value / draws.count)), common };
 }
 
-function doubt(loop: Loop, between: Past, start: number[] | null): UndecidedReason | null {
+function doubt(loop: Loop, between: Past, start: number[] | null): Undecided | null {
   const { denseL: L, dense, draws } = loop;
   const { wrong, radius_95, uncertain_ratio } = loop.plant.source.constants;
   const n = dense.f.length;
@@ -259,7 +259,7 @@ function doubt(loop: Loop, between: Past, start: number[] | null): UndecidedReas
   return { reason: "errors of L may carry it over -1: measure longer or excite more", band_hz: null };
 }
 
-function uncertain({ f, dense }: Loop, k: number, std: Real, uncertain_ratio: number): UndecidedReason {
+function uncertain({ f, dense }: Loop, k: number, std: Real, uncertain_ratio: number): Undecided {
   const at = dense.f[k];
   const i = clip(placeIn(f, at), 1, f.length - 1);
   const [low, high] = [f[i - 1], f[i]];
@@ -308,7 +308,7 @@ export function normalBelow(x: number): number {
 }
 
 /** Where a resonance might encircle -1 between lines that are missing or too uncertain to show it (`_unseen`). */
-function unseen({ point, controller, plant }: Loop): UndecidedReason | null {
+function unseen({ point, controller, plant }: Loop): Undecided | null {
   const { gaps } = point;
   if (!gaps.length) return null;
   const C = control.response(controller, Float64Array.from(gaps.flatMap((gap) => gap.hz)));
@@ -336,7 +336,7 @@ function unseen({ point, controller, plant }: Loop): UndecidedReason | null {
   return { reason, band_hz: [low, high] };
 }
 
-function hole(loop: Loop): UndecidedReason | null {
+function hole(loop: Loop): Undecided | null {
   const found = unseen(loop);
   if (found) return found;
   const { f, L, controller } = loop;

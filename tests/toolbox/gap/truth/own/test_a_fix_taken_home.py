@@ -14,7 +14,7 @@ import pytest
 import loopshape as ls
 from loopshape.io.files import write_beside
 from loopshape.toolbox.gap.mechanism.fix import in_files
-from loopshape.toolbox.gap.nouns.effect import Unsaid, fix_of
+from loopshape.toolbox.gap.nouns.effect import NotWritten, fix_of
 from loopshape.toolbox.gap.nouns.machine import Kind, Mechanism
 from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms
 from loopshape.toolbox.gap.own.composed import Composed
@@ -175,7 +175,7 @@ def test_a_patched_mjcf_steps_as_predicted_and_as_one_written_by_hand(case):
     assert share(mine, by_hand, plain) < tolerance
     assert share(mine, predicted(model, moves), plain) < tolerance
     assert fixed.attributes
-    assert {left.reason for left in fixed.left_to_you} <= {Unsaid.SHARPER}
+    assert {left.reason for left in fixed.left_to_you} <= {NotWritten.SHARPER}
     assert fixed.function is None
 
 
@@ -247,7 +247,7 @@ def test_what_mjcf_cannot_say_is_left_to_a_function_and_named_by_a_field():
     model = machine_of(m)
     fixed = in_files(moved(model, moves), model, m)
     left = {row.parameter: row.reason for row in fixed.left_to_you}
-    assert left == dict.fromkeys(moves.keys() - {"mass_lever"}, Unsaid.NO_ATTRIBUTE)
+    assert left == dict.fromkeys(moves.keys() - {"mass_lever"}, NotWritten.NO_ATTRIBUTE)
     assert fixed.file == "gap_fixed.xml"
     assert fixed.function == "gap_fix.py"
     space = run(fixed.texts["gap_fix.py"])
@@ -302,7 +302,7 @@ def test_a_model_that_scales_its_masses_is_not_patched_but_said_to_be_left():
     model = machine_of(m)
     fixed = in_files(moved(model, {"change.payload_hand": 0.08}), model, m)
     assert fixed.file is None
-    assert [(row.parameter, row.reason) for row in fixed.left_to_you] == [("payload_hand", Unsaid.REFUSED)]
+    assert [(row.parameter, row.reason) for row in fixed.left_to_you] == [("payload_hand", NotWritten.REFUSED)]
     assert run(fixed.texts["gap_fix.py"])["PARAMETERS"] == {"payload_hand": 0.08}
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 
 import loopshape as ls
 from loopshape.toolbox.gap.nouns.machine import Input, Model, ModelParameter, Output, Port
-from loopshape.toolbox.gap.own.linear import followable
+from loopshape.toolbox.gap.own.linear import simulable
 
 MOTOR, LOAD, DAMPING, SPRING = 0.006, 0.014, 0.05, 0.8
 
@@ -117,7 +117,7 @@ def test_a_recording_of_an_frf_is_what_the_machine_answers_to_its_input(hold_hz)
         frf.frequency_hz, both, relative_std=0.02, inputs=("torque_nm",), outputs=("lever_rad", "speed_mrad_s"), **hold
     )
     outputs = (*MODEL.outputs, Output("speed", "speed", "speed_mrad_s", 1e-3, "rad/s"))
-    plant, run = followable(replace(MODEL, outputs=outputs), [frf])
+    plant, run = simulable(replace(MODEL, outputs=outputs), [frf])
     inertia, damping, spring = 1.01 * (MOTOR + LOAD), 1.04 * DAMPING, 0.985 * SPRING
     whole = expm(np.array([[0, 1, 0], [-spring / inertia, -damping / inertia, 1 / inertia], [0, 0, 0]]) / run.rate_hz)
     for r in run.recordings[:2]:

@@ -15,8 +15,7 @@ from loopshape.data.signal.experiment import Experiment
 from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.armed import Armed, beat_s, reason_words, vented
 from loopshape.toolbox.rig.target.frames import Frame
-from loopshape.toolbox.rig.target.intake import Intake
-from loopshape.toolbox.rig.target.messages import Ended, Payload, Reason, Request, Response, State
+from loopshape.toolbox.rig.target.messages import Ended, Payload, Reason, Request, Response, Samples, State
 from loopshape.toolbox.rig.target.session import RefusedError
 
 INJECTION = {"controller_input": 0, "plant_input": 1, "control": 2, "reference": 0}
@@ -25,18 +24,19 @@ LISTEN_S = 0.02
 HAND_ON_S = 0.1  # so often what came is handed on
 PATIENCE_S = 0.1  # so long does what was asked again take to come
 STILL_S = 6.0  # longer than a target repeats the end of a run
-KEPT = (Reason.COMPLETE, Reason.LIMIT, Reason.RATE_LIMIT, Reason.MACHINE)
+RATE_TICKS = 10  # a rate is averaged over so many ticks: a converter's step is no alarm
+KEPT_REASONS = (Reason.COMPLETE, Reason.LIMIT, Reason.RATE_LIMIT, Reason.MACHINE)
 
 
 Arrived = Callable[[Mapping[str, Array]], None]
 
 
-class Taking:
+class Acquisition:
     """One recording while it runs."""
 
     def __init__(self, armed: Armed, e: Experiment, number: int, arrived: Arrived) -> None:
         self._armed, self._e, self._session = armed, e, armed.session
-        self._intake = Intake(number, e.samples, self._session.identity.width(len(armed.loops)))
+        self._samples = SampleTable(number, e.samples, self._session.identity.width(len(armed.loops)))
         self._ended: Ended | None = None
         self._mask, self._rows = moving(e)
         self._uploaded = 0
@@ -48,14 +48,14 @@ class Taking:
         self._arrived, self._handed, self._handed_s = arrived, 0, time.monotonic()
         self._alarm: tuple[int, int, float, float] | None = None
 
-    def told(self, frame: Frame) -> None:
+    def on_frame(self, frame: Frame) -> None:
         """A frame that came unasked."""
         if frame.type == Response.SAMPLES:
-            new = self._intake.take(self._session.samples(frame, len(self._armed.loops)))
+            new = self._samples.take(self._session.samples(frame, len(self._armed.loops)))
             self._watch(len(new))
         elif frame.type == Response.ENDED:
             ended = self._session.ended(frame)
-            if ended.run == self._intake.run:
+            if ended.run == self._samples.run:
                 self._ended = self._ended or self._believed(ended)
 
     def _believed(self, ended: Ended) -> Ended:
@@ -74,17 +74,17 @@ class Taking:
         places = slice(3 * len(self._armed.loops), None)
         limits = self._armed.configuration.limits
         grain = 2.0 ** (-52 if self._session.identity.number == "<f8" else -23)
-        self._alarm = self._alarm or self._intake.passed(new, places, limits, self._e.rate_hz, grain)
+        self._alarm = self._alarm or self._samples.passed(new, places, limits, self._e.rate_hz, grain)
 
     def run(self, place: bool) -> Ended:
         """Upload, go, take in until the end is told and all of it is here."""
-        free = self._begin(place)
-        self._session.unasked = self.told  # what came before belongs to an earlier recording
+        free = self._start(place)
+        self._session.unasked = self.on_frame  # what came before belongs to an earlier recording
         self._upload(free)
         self._go()
         try:
             while not self._is_whole():
-                self._session.listen(LISTEN_S if self._intake.lacking == 0 else LISTEN_S / 4)
+                self._session.listen(LISTEN_S if self._samples.lacking == 0 else LISTEN_S / 4)
                 if self._alarm is not None and self._ended is None:
                     self._stop_the_blind()
                 self._fill()
@@ -94,13 +94,13 @@ class Taking:
                     self._hand_on()
         finally:
             self._hand_on()
-        return self._judged()
+        return self._checked()
 
     def _hand_on(self) -> None:
         """What came since the last time goes to whoever keeps it."""
-        first, self._handed, self._handed_s = self._handed, self._intake.received, time.monotonic()
+        first, self._handed, self._handed_s = self._handed, self._samples.received, time.monotonic()
         if first < self._handed:
-            self._arrived(self._named(self._intake.table[first : self._handed]))
+            self._arrived(self._named(self._samples.table[first : self._handed]))
 
     def _go(self) -> None:
         try:
@@ -114,44 +114,44 @@ class Taking:
             ) from None
 
     def _is_whole(self) -> bool:
-        return self._ended is not None and self._intake.received >= self._ended.ticks
+        return self._ended is not None and self._samples.received >= self._ended.ticks
 
-    def _judged(self) -> Ended:
+    def _checked(self) -> Ended:
         """The end as it was told; where the target passed a limit and did not act, the end that the host saw."""
         ended = self._ended
         assert ended is not None
-        if self._alarm is None or ended.reason in KEPT[1:]:
+        if self._alarm is None or ended.reason in KEPT_REASONS[1:]:
             with suppress(RigError):  # everything is here; whoever asks next is told
                 self._alive()
             return ended
         vented(self._session)
         index, tick, value, limit = self._alarm
         low, high, _ = self._armed.configuration.limits[index]
-        inside = low <= self._intake.table[tick, 3 * len(self._armed.loops) + index] <= high
+        inside = low <= self._samples.table[tick, 3 * len(self._armed.loops) + index] <= high
         reason = Reason.RATE_LIMIT if inside else Reason.LIMIT
         sentence = "the target did not act, the host vented it"
         return Ended(ended.run, tick + 1, reason, index, tick, value, limit, sentence)
 
     def _refuse_standstill(self) -> None:
         """A target that answers and gets no further is given up."""
-        mark = (self._intake.received, self._intake.newest, self._uploaded, self._ended is not None)
+        mark = (self._samples.received, self._samples.newest, self._uploaded, self._ended is not None)
         now = time.monotonic()
         if mark != self._mark:
             self._mark, self._moved_s = mark, now
         if now - self._moved_s > STILL_S + self._armed.settings.soft_start_s:
             raise RigError(
                 f"the target gets no further with {self._e.name!r}",
-                f"{self._intake.received} of {self._e.samples} ticks",
+                f"{self._samples.received} of {self._e.samples} ticks",
                 "the recording is not kept; look at the target",
             )
 
     @property
     def _id(self) -> bytes:
-        return self._intake.run.to_bytes(4, "little")
+        return self._samples.run.to_bytes(4, "little")
 
-    def _begin(self, place: bool) -> int:
-        payload = messages.begin(
-            self._intake.run,
+    def _start(self, place: bool) -> int:
+        payload = messages.start_payload(
+            self._samples.run,
             self._e.samples,
             INJECTION[self._e.injection],
             self._mask,
@@ -166,7 +166,7 @@ class Taking:
         end = min(len(self._rows) if self._rows.shape[1] else 0, self._uploaded + room)
         while self._uploaded < end and self._ended is None and not self._closed and self._alarm is None:
             part = self._rows[self._uploaded : min(end, self._uploaded + most)]
-            payload = messages.rows(self._intake.run, self._uploaded, part, self._session.identity.number)
+            payload = messages.rows(self._samples.run, self._uploaded, part, self._session.identity.number)
             try:
                 taken, _ = Payload(self._session.ask(Request.ROWS, payload)).take("II")
             except RefusedError as error:
@@ -183,32 +183,32 @@ class Taking:
         if not self._rows.shape[1]:
             return
         buffer = self._session.identity.buffer_rows
-        free = buffer - (self._uploaded - self._intake.received)
+        free = buffer - (self._uploaded - self._samples.received)
         if free > buffer // 4:
             self._upload(free)
 
     def _keep_alive(self) -> None:
         """Say that the host is there and what it has; ask again for what is missing."""
         if self._ended is not None:
-            self._intake.newest = max(self._intake.newest, self._ended.ticks)
-        if self._intake.lacking:
+            self._samples.newest = max(self._samples.newest, self._ended.ticks)
+        if self._samples.lacking:
             self._fetch()
-        ahead = self._intake.received - self._acknowledged >= self._session.identity.memory_ticks // 4
+        ahead = self._samples.received - self._acknowledged >= self._session.identity.memory_ticks // 4
         if ahead or self._session.silent_s() > beat_s(self._armed):
             self._alive()
 
     def _alive(self) -> None:
-        received = self._intake.received
-        status = self._session.status(self._intake.run, received + self._is_whole())
+        received = self._samples.received
+        status = self._session.status(self._samples.run, received + self._is_whole())
         self._acknowledged = received
-        if status.run == self._intake.run:  # what it had at the time before should have come by now
-            self._intake.newest = max(self._intake.newest, self._ticks_said)
+        if status.run == self._samples.run:  # what it had at the time before should have come by now
+            self._samples.newest = max(self._samples.newest, self._ticks_said)
             self._ticks_said = min(status.tick, self._e.samples)
         elif self._ended is None:
             raise RigError("the target forgot the recording", f"{self._e.name!r}", "it was restarted: begin anew")
 
     def _fetch(self) -> None:
-        first, lacking = self._intake.received, min(self._intake.lacking, 512)
+        first, lacking = self._samples.received, min(self._samples.lacking, 512)
         now = time.monotonic()
         if first < self._asked_to and now - self._asked_s < PATIENCE_S:
             return
@@ -233,12 +233,12 @@ class Taking:
 
     def columns(self, ticks: int) -> dict[str, Array]:
         """The recording's columns, as a run folder has them."""
-        return {"t_s": np.arange(ticks) / self._e.rate_hz} | self._named(self._intake.table[:ticks])
+        return {"t_s": np.arange(ticks) / self._e.rate_hz} | self._named(self._samples.table[:ticks])
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the columns that arrive."""
-        return tuple(self._named(self._intake.table[:0]))
+        return tuple(self._named(self._samples.table[:0]))
 
     def _named(self, table: Array) -> dict[str, Array]:
         """Columns of some ticks (k, width), without their time."""
@@ -260,3 +260,60 @@ def moving(e: Experiment) -> tuple[int, Array]:
     bits = [k for k, column in enumerate(both) if np.any(column != still[k])]
     rows = np.column_stack([both[k] for k in bits]) if bits else np.empty((e.samples, 0))
     return sum(1 << k for k in bits), rows
+
+
+class SampleTable:
+    """A table (ticks, width) that fills from the front; `received` ticks are there, `newest` was seen."""
+
+    def __init__(self, run: int, ticks: int, width: int) -> None:
+        self.run, self.received, self.newest = run, 0, 0
+        self._table = np.empty((ticks, width))
+
+    def take(self, samples: Samples) -> Array:
+        """Add samples; gives those that are new and in place (k, width). What comes after a gap is sent again later."""
+        end = samples.first + len(samples.table)
+        if samples.run != self.run or end > len(self._table):
+            return self._table[:0]
+        self.newest = max(self.newest, end)
+        if not samples.first <= self.received < end:
+            return self._table[:0]
+        start = self.received
+        self._table[start:end] = samples.table[start - samples.first :]
+        self.received = end
+        return self._table[start:end]
+
+    @property
+    def lacking(self) -> int:
+        """Ticks that were seen to be missing."""
+        return self.newest - self.received
+
+    @property
+    def table(self) -> Array:
+        """What is there (received, width)."""
+        return self._table[: self.received]
+
+    def passed(
+        self, new: int, places: slice, limits: Array, rate_hz: float, grain: float = 2.0**-52
+    ) -> tuple[int, int, float, float] | None:
+        """The first limit that the last `new` ticks pass: column of `places`, tick, value, limit; None if none is.
+
+        `limits` (columns, 3) low, high and rate a second; a rate counts from RATE_TICKS on. `grain` is the relative
+        rounding of what arrived: what the target found within its limits is within them here too. NaN passes them.
+        """
+        first = max(0, self.received - new)
+        values = self._table[max(0, first - RATE_TICKS) : self.received, places]
+        mine = values[-(self.received - first) :] if new else values[:0]
+        rates = np.abs(values[RATE_TICKS:] - values[:-RATE_TICKS]) * (rate_hz / RATE_TICKS)
+        slack = grain * np.abs(limits[:, :2]).max(axis=1)
+        blur = slack * 2.0 * rate_hz / RATE_TICKS
+        for found, low, high, back in (
+            (mine, limits[:, 0] - slack, limits[:, 1] + slack, len(mine)),
+            (rates, -np.inf, limits[:, 2] * (1.0 + grain) + blur, len(rates)),
+        ):
+            over = ~((found >= low) & (found <= high))
+            if over.any():
+                tick, column = (int(k) for k in np.argwhere(over)[0])
+                value = float(found[tick, column])
+                bound = float(limits[column, 2 if found is rates else (0 if value < limits[column, 0] else 1)])
+                return column, self.received - back + tick, value, bound
+        return None
