@@ -122,9 +122,9 @@ def _start(f: Followed, c: Array, more_pa: float, mode: str) -> closed_loop.Mech
     angle, p_a, p_b = f.measured[:3].mean(axis=0)
     x = np.array([_CAPACITY * c[p.P_IN], p_a, p_b, angle, 0.0, angle, 0.0])
     if mode != "muscles":  # there the pressures follow the measured ones, whatever feeds them
-        led = closed_loop.at_rest(c, x.copy())
-        _follow(f, led, round(_CAPACITY_S / f.row_s), 0, "both")
-        x[0] = led.x[0] + more_pa
+        tracked = closed_loop.at_rest(c, x.copy())
+        _follow(f, tracked, round(_CAPACITY_S / f.row_s), 0, "both")
+        x[0] = tracked.x[0] + more_pa
     return closed_loop.at_rest(c, x)
 
 
