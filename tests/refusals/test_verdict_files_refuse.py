@@ -68,6 +68,22 @@ def test_an_operating_point_of_the_first_version_keeps_its_name(tmp_path):
     assert [*one.data] == [*one.verdict.margins] == ["found"]
 
 
+def test_a_file_that_an_earlier_program_kept_is_read_and_written_as_it_was(tmp_path):
+    """`verdict_2.json` was written before margins were a mapping of readings."""
+    file = Path(__file__).parent / "data" / "verdict_2.json"
+    raw, found = read_json(file), read_verdicts(file)
+    was, (one,) = raw["loops"][0]["margins"]["r1"], found
+    read = one.verdict.margins["r1"]["phase_margin_deg"]
+    assert (read.value, list(read.interval)) == (was["phase_margin_deg"], was["intervals"]["phase_margin_deg"])
+    assert read.at_hz == was["at_hz"]["phase_margin_deg"]
+    assert one.verdict.margins["r1"]["complementary_bandwidth_hz"].bound == was["bounds"].get(
+        "complementary_bandwidth_hz"
+    )
+    assert one.verdict.outcome == raw["loops"][0]["outcome"]
+    write_verdicts(tmp_path / "v.json", found)
+    assert read_json(tmp_path / "v.json") == raw
+
+
 def test_a_file_without_a_verdict(kept):
     changed(kept, lambda data, _: data.update(loops=[]))
     refused(kept, "holds no verdict")

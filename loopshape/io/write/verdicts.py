@@ -106,7 +106,8 @@ def _read(table: Mapping[str, Any], where: str) -> Checked:
 def _margins(table: Mapping[str, Any]) -> Margins:
     """Margins from values by name, with intervals, frequencies and bounds by the same, and all other fields."""
     named = {key: {x: _typed(kind, one) for x, one in table.get(key, {}).items()} for key, kind in _NAMED.items()}
-    values = {name: _typed(float, value) for name, value in table.items() if name in LIMIT_OF}
+    first = list(LIMIT_OF)[:10]  # which every file has
+    values = {name: _typed(float, table[name]) for name in LIMIT_OF if name in first or name in table}
     rest = {name: value for name, value in table.items() if name not in {*LIMIT_OF, *_NAMED}}
     bare = _noun(Margins, {"readings": {}, **rest})
     return replace(bare, readings=Margins.of(values, bare.stable, **named).readings)
@@ -137,8 +138,9 @@ def _typed(hint: Any, value: Any) -> Any:
         return tuple(_typed(inner, one) for inner, one in zip(inners, value, strict=True))
     if origin is not None:  # Mapping[str, inner]
         return {str(name): _typed(args[1], one) for name, one in value.items()}
-    if issubclass(hint, StrEnum) and isinstance(value, str):
-        return hint(value)
-    if isinstance(value, bool) != (hint is bool) or not isinstance(value, (str, int, float) if hint is float else hint):
+    if issubclass(hint, StrEnum) and isinstance(value, str) and value not in list(hint):
+        raise ValueError(f"{value!r} is no outcome")
+    kinds = (str, int, float) if hint is float else str if issubclass(hint, str) else hint
+    if isinstance(value, bool) != (hint is bool) or not isinstance(value, kinds):
         raise TypeError(f"{value!r} is no {hint.__name__}")
     return hint(value)

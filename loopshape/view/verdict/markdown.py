@@ -10,12 +10,7 @@ from loopshape.data.requirement.requirements import LIMITS
 from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.margins import Reading
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.result.verdict_words import (
-    interval_text,
-    row_of,
-    stability_text,
-    unstable_text,
-)
+from loopshape.data.result.verdict_words import interval_text, row_of, stability_text, unstable_text
 from loopshape.view.verdict.tables import comparison_tables
 
 #: what Markdown or GitHub's reader would take for more than a letter

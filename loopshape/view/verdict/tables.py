@@ -5,12 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from loopshape.data.result.verdict_words import (
-    interval_text,
-    row_of,
-    unstable_text,
-    verdict_rows,
-)
+from loopshape.data.result.verdict_words import interval_text, row_of, unstable_text, verdict_rows
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
