@@ -61,7 +61,5 @@ def detection() -> Iterator[list]:
                     noisy = P + r / (1j * (f - centre) + w) + np.sqrt(variance) * errors(rng, f.size, 1)
                     near = [x for x in hidden_poles(f, noisy, variance) if x.low_hz - gap < centre < x.high_hz + gap]
                     count += bool(near)
-                    held += (
-                        bool(near) and near[0].half_width_hz.min() <= 1.001 * w <= 1.002 * near[0].half_width_hz.max()
-                    )
+                    held += bool(near) and near[0].peak >= 0.99 * abs(r) / w
                 yield [noise, width, tail, RECORDS // 5, count, held]

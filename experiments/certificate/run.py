@@ -138,7 +138,7 @@ def main() -> None:
     written("alarms.csv", ("lines", "noise", "overlap", "records", "records_with_a_pole"), list(alarms()))
     written(
         "detection.csv",
-        ("noise", "width_over_gap", "tail_over_noise", "records", "found", "width_held"),
+        ("noise", "width_over_gap", "tail_over_noise", "records", "found", "peak_bounded"),
         list(detection()),
     )
 

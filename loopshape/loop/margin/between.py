@@ -1,6 +1,6 @@
 """How 1 + L runs between its lines: along the smoothed plant, its narrow resonances and the controller as it is.
 
-Where a resonance lies between lines that none of them resolves, all poles that they allow are followed.
+Where several lie within a few lines of each other, all poles that these allow are followed.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.smoothing import SEED, drawn_errors
-from loopshape.loop.stability.mode_clusters import ModeCluster
-from loopshape.loop.stability.sampling import SHARPEST, HiddenPole
+from loopshape.loop.stability.mode_clusters import SHARPEST, ModeCluster
 
 #: draws of the errors of lines that were not smoothed
 DRAWN = 50
@@ -29,10 +28,6 @@ STEP, SMALL, MOST = 0.05, 0.05, 12
 #: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
 _CIRCLE, _BEYOND = np.tan(np.linspace(-1.5, 1.5, 49)), np.geomspace(25.0, 4000.0, 8)
 PATH_HALF_WIDTHS = np.concatenate([-_BEYOND[::-1], _CIRCLE, _BEYOND])
-#: L may leave its curve between lines by this much of what the lines leave theirs (a quarter for a parabola)
-BULGE = 0.5
-#: the path past a pole is followed over this many lines more on either side, where its tails bend
-NEIGHBOUR_LINES = 2
 #: steps past crowded resonances are halved where 1 + L turns by more than this in rad, so many times
 FAR, ROUNDS = 1.0, 8
 #: resonances of the controller as wide as this many lines need no places of their own
@@ -134,42 +129,6 @@ def _rest(lines: FRF, scatter: Scatter | None) -> ComplexArray:
     return known[1]
 
 
-def turns_past(pole: HiddenPole, loop: Loop, path: Path) -> tuple[int, int, int, int, bool]:
-    """Lines `first`, `last` about a hidden pole, least and most whole turns that 1 + L turns more than the path there.
-
-    Of all the poles that the loop's lines allow. What is smooth of P runs straight between lines, and where it bends so
-    much that the likeliest path might pass -1 on the other side the last answer is False.
-    """
-    first, last, at, P, smooth = _past(pole, measured(loop), loop.scatter)
-    own = loop.frequency_hz[first : last + 1]
-    past = 1.0 + loop.controller.response(at) * P
-    here = slice(int(np.searchsorted(path.f, own[0])), int(np.searchsorted(path.f, own[-1])) + 1)
-    turns = np.rint((turn(past) - turn(1.0 + path.L[here])) / TWO_PI).astype(int)
-    gap = np.clip(np.searchsorted(own, at[0, :-1], side="right") - 1, 0, own.size - 2)
-    bulge = bulges(own, loop.controller.response(own) * smooth)[gap]
-    sure = bool(np.all(chords_to_minus_one(past[0] - 1.0)[0] > bulge))
-    return first, last, int(turns.min()), int(turns.max()), sure
-
-
-@lru_cache(maxsize=64)
-def _past(pole: HiddenPole, lines: FRF, scatter: Scatter | None) -> tuple[int, int, Array, ComplexArray, ComplexArray]:
-    """Lines `first`, `last` about a hidden pole, frequencies (nz, n) in Hz along them and P there, of no controller.
-
-    One for each of the poles that the lines allow; last what is smooth of P on the lines, for the likeliest.
-    """
-    f, P = lines.frequency_hz, _rest(lines, scatter)
-    first, last = _lines_about(f, pole.low_hz, pole.high_hz)
-    first, last = max(first - NEIGHBOUR_LINES, 0), min(last + NEIGHBOUR_LINES, f.size - 1)
-    own, P_own = f[first : last + 1], P[first : last + 1]
-    z, r = (pole.centre_hz + 1j * pole.half_width_hz)[:, None], pole.residue[:, None]
-    at = _places(own, z)
-    smooth = P_own - r / (1j * (own - z))
-    made = r / (1j * (at - z)) + _straight(at, own, smooth) + (0.0 if scatter is None else scatter.narrow(at))
-    for kept in (at, made):
-        kept.setflags(write=False)
-    return first, last, at, made, smooth[0]
-
-
 def turns_past_cluster(cluster: ModeCluster, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:
     """Least and most whole turns that 1 + L turns more than the path past resonances that stand close together.
 
@@ -209,25 +168,12 @@ def _cluster_path(cluster: ModeCluster) -> tuple[Array, ComplexArray]:
     return at, P
 
 
-def _lines_about(f: Array, low_hz: float, high_hz: float) -> tuple[int, int]:
-    first = int(np.clip(np.searchsorted(f, low_hz, side="right") - 1, 0, f.size - 2))
-    return first, int(np.clip(np.searchsorted(f, high_hz, side="left"), first + 1, f.size - 1))
-
-
 def _places(own: Array, z: ComplexArray) -> Array:
     """Frequencies (nz, n) in Hz along lines `own`, dense about each of the poles z (nz, m)."""
     even = np.concatenate([own, np.linspace(own[0], own[-1], 4 * own.size)])
     dense = (z.real[:, :, None] + np.abs(z.imag)[:, :, None] * PATH_HALF_WIDTHS).reshape(len(z), -1)
     every = np.concatenate([dense, np.broadcast_to(even, (len(z), even.size))], axis=1)
     return np.sort(np.clip(every, own[0], own[-1]), axis=1)
-
-
-def _straight(at: Array, own: Array, values: ComplexArray) -> ComplexArray:
-    """Values (nz, lines) at lines `own`, straight between them, at (nz, n)."""
-    k = np.clip(np.searchsorted(own, at, side="right") - 1, 0, own.size - 2)
-    slope = np.diff(values) / np.diff(own)
-    row = np.arange(len(values))[:, None]
-    return np.asarray(values[row, k] + (at - own[k]) * slope[row, k])
 
 
 def turn(path: ComplexArray) -> Array:
@@ -240,18 +186,6 @@ def _steps(path: ComplexArray) -> Array:
     """Angles in rad (..., n - 1) that each step of a path turns about zero; nothing where it meets it."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.nan_to_num(np.angle(path[..., 1:] / path[..., :-1])))
-
-
-def bulges(f: Array, L: ComplexArray) -> Array:
-    """How far L may leave such curves between lines, (nf - 1,), by how far lines leave those of their neighbours."""
-    if f.size < 3:
-        return np.zeros(f.size - 1)
-    ln_f = np.log(f)
-    share = (ln_f[1:-1] - ln_f[:-2]) / (ln_f[2:] - ln_f[:-2])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        off = np.abs(L[1:-1] - L[:-2] * (L[2:] / L[:-2]) ** share)
-    off = np.nan_to_num(np.concatenate([off[:1], off, off[-1:]]), posinf=0.0)
-    return np.asarray(BULGE * np.maximum(off[1:], off[:-1]))
 
 
 def unit_crossings(f: Array, L: ComplexArray) -> tuple[Array, ComplexArray]:

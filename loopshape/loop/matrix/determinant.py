@@ -188,7 +188,7 @@ def _sampling(loops: Loop, as_one: Loop, path: Path) -> Sampling:
     if not poles or np.abs(as_one.L).max() < _SAME:
         return nothing
     shown = sampling(as_one, path)
-    gaps = np.clip(np.searchsorted(f, [pole.centre_hz[0] for pole in poles]) - 1, 0, f.size - 2)
+    gaps = np.clip(np.searchsorted(f, [pole.pole_hz.real for pole in poles]) - 1, 0, f.size - 2)
     return shown if shown.interpolated[gaps].any() else nothing
 
 

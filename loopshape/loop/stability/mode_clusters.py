@@ -48,8 +48,8 @@ SAME = 0.5
 _STARTS = 3
 #: poles moved alone are allowed within so many standard deviations; ways of residues and polynomial for each
 RADIUS_STD, OF_REST = 3.0, 3
-#: chains that walk over poles that the lines allow, steps of each and places kept; of noise so much; and their seed
-CHAINS, WALK, DRAWS_PER_CHAIN, TEMPERATURE, SEED = 40, 64, 8, 1.5, 20073
+#: seed of the draws of what residues and polynomial may be
+SEED = 20074
 #: what a fit rounds off, as a share of residue and half width
 UNEXACT = 0.01
 #: how far in gaps each pole is moved while the others stay
@@ -305,19 +305,18 @@ class _Fit:
     def allowed(self, z: ComplexArray, noise: float) -> tuple[ComplexArray, ComplexArray]:
         """Ways that the lines allow: poles (nc, m), and coefficients (nc, m + order + 1) of poles and polynomial.
 
-        The likeliest, each pole moved alone, what a walk over all of them meets, and what the fit rounds off.
+        The likeliest, each pole moved alone, and what the fit rounds off.
         """
         moved = self.possible(np.array([z, *self._one_moved(z)]))
         most = noise * (RADIUS_STD**2 + 2.0 * z.size)
         near = moved[self._misfits(moved) <= self.misfit(z) * (1.0 + 1e-9) + most]
-        walked = self._walked(z, noise) if z.size else near[:0]
         best, *drawn = self._coefficients(near, noise)
         off = UNEXACT * np.exp(0.25j * TWO_PI * np.arange(4))[:, None]
         rounded = np.concatenate([np.broadcast_to(z, (4, z.size)), self.possible(z + off * np.abs(z.imag))])
         r = best[0, : z.size] * np.concatenate([1.0 + off, np.ones_like(off)])
         given = np.concatenate([r, self._polynomial(rounded, r)], axis=1)
-        poles = np.concatenate([*[near] * OF_REST, walked, rounded])
-        return poles, np.concatenate([best, *drawn, self._coefficients(walked, noise)[-1], given])
+        poles = np.concatenate([*[near] * OF_REST, rounded])
+        return poles, np.concatenate([best, *drawn, given])
 
     def _misfits(self, z: ComplexArray) -> Array:
         """Squared misfits (nc,) of poles z (nc, m) in units of noise."""
@@ -325,28 +324,6 @@ class _Fit:
         Q = np.linalg.qr(_off(self.window.basis[0], columns))[0]
         along = np.einsum("cwm,w->cm", Q.conj(), self.left)
         return np.asarray(np.sum(np.abs(self.left) ** 2) - np.sum(np.abs(along) ** 2, axis=1))
-
-    def _walked(self, z: ComplexArray, noise: float) -> ComplexArray:
-        """Poles (n, m) drawn as often as the lines allow them, at a `TEMPERATURE` of their noise.
-
-        Chains walk from z by steps of all poles or one (Metropolis and others, Journal of Chemical Physics 21, 1953).
-        """
-        rng, gap = np.random.default_rng(SEED), np.interp(z.real, self.f[:-1], self.gaps)
-        spread = np.sqrt(noise) * np.linalg.pinv(np.linalg.qr(self._bent(z))[1], rcond=1e-9).T
-        at, kept = np.tile(z, (CHAINS, 1)), []
-        misfit = self._misfits(at)
-        for k in range(1, WALK + 1):
-            size = 10.0 ** rng.uniform(-1.5, 0.3, (CHAINS, 1))
-            step = size * (_white(rng, at.shape) @ spread)
-            alone = rng.integers(2 * z.size, size=(CHAINS, 1)) == np.arange(z.size)
-            step = np.where(alone.any(axis=1, keepdims=True), alone * size * gap * _white(rng, at.shape), step)
-            tried = self.possible(at + step / np.maximum(1.0, np.abs(step) / gap))
-            now = self._misfits(tried)
-            taken = np.log(rng.random(CHAINS)) < (misfit - now) / (TEMPERATURE * noise)
-            at, misfit = np.where(taken[:, None], tried, at), np.where(taken, now, misfit)
-            if k % (WALK // DRAWS_PER_CHAIN) == 0:
-                kept.append(at)
-        return np.concatenate(kept)
 
     def _columns_of(self, z: ComplexArray) -> tuple[ComplexArray, Array]:
         """Weighted columns of poles z (nc, m) and of the polynomial: (nc, w, m) and (w, order + 1)."""
@@ -367,7 +344,7 @@ class _Fit:
         size = np.sqrt(np.sum(np.abs(columns) ** 2, axis=1))
         inverse = np.linalg.pinv(columns / size[:, None, :], rcond=1e-12)
         best = inverse @ self.window.data[0]
-        white = _white(np.random.default_rng(SEED + 1), (OF_REST - 1, len(z), self.f.size))
+        white = _white(np.random.default_rng(SEED), (OF_REST - 1, len(z), self.f.size))
         errors = np.sqrt(noise) * np.einsum("ckw,dcw->dck", inverse, white)
         return np.asarray((best + np.concatenate([np.zeros_like(errors[:1]), errors])) / size)
 

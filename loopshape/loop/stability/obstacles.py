@@ -15,7 +15,6 @@ from loopshape.loop.margin.between import (
     Path,
     chords_to_minus_one,
     measured,
-    turns_past,
     turns_past_cluster,
     without_narrow,
 )
@@ -62,9 +61,10 @@ class Undecided:
 
 @dataclass(frozen=True, eq=False)
 class Sampling:
-    """What lies between lines and not on a path along them: whole turns of 1 + L, and gaps (nf - 1,) past a resonance.
+    """What lies between lines and not on a path along them: whole turns of 1 + L, and gaps (nf - 1,) past resonances.
 
-    Of these all that the resonance may be was looked at.
+    Of several that stand close together all that they may be was looked at. One alone may turn 1 + L where its peak in
+    L, the diameter of its circle, is larger than the path's distance from -1: that is left open.
 
     `unclear` is the first gap where the lines allow several answers, None where there is none.
     """
@@ -87,18 +87,18 @@ def sampling(loop: Loop, path: Path) -> Sampling:
     clusters = _clusters(loop, path)
     turns, interpolated, unclear = _past_clusters(loop, path, [x for x in clusters if x.left is not Residual.SCATTER])
     for pole in hidden_in(loop):
-        if interpolated[np.clip(np.searchsorted(f, pole.centre_hz[0]) - 1, 0, f.size - 2)]:
+        first = int(np.clip(np.searchsorted(f, pole.low_hz, side="right") - 1, 0, f.size - 2))
+        last = int(np.clip(np.searchsorted(f, pole.high_hz), first + 1, f.size - 1))
+        gaps, gap = slice(first, last), np.clip(np.searchsorted(f, pole.pole_hz.real) - 1, 0, f.size - 2)
+        if interpolated[gap] or pole.peak * _larger(np.abs(loop.C))[gaps].max() <= _nearest(path)[gaps].min():
             continue
-        first, last, least, most, sure = turns_past(pole, loop, path)
-        turns += least
-        interpolated[first:last] = True
-        if (least != most or not sure) and unclear is None:
-            unclear = Undecided(
-                f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
-                " encircle -1: measure finer there",
-                (float(f[first]), float(f[last])),
-                True,
-            )
+        interpolated[gaps] = True
+        unclear = unclear or Undecided(
+            f"a resonance between {f[first]:.4g} and {f[last]:.4g} Hz, sharper than the lines, may or may not"
+            " encircle -1: measure finer there",
+            (float(f[first]), float(f[last])),
+            True,
+        )
     return Sampling(
         turns, interpolated, unclear or _scatters(loop, path, [x for x in clusters if x.left is Residual.SCATTER])
     )
@@ -207,7 +207,7 @@ def _not_one(loop: Loop) -> np.ndarray:
     residual = np.where(scatter, 0.0, size) > 0.0
     if residual.any():
         narrow = () if loop.scatter is None else loop.scatter.pole_hz.real
-        known = np.concatenate([[pole.centre_hz[0] for pole in hidden_in(loop)], narrow])
+        known = np.concatenate([[pole.pole_hz.real for pole in hidden_in(loop)], narrow])
         gaps = np.clip(np.searchsorted(f, known) - 1, 0, residual.size - 1)
         beside = np.convolve(residual, np.ones(2 * BESIDE + 1), "same")[: residual.size] > 0.0
         residual[gaps[beside[gaps]]] = True

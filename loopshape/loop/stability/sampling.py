@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray
 from loopshape.identify.smooth.pole_terms import CAREFUL, ROUNDED
 from loopshape.loop.stability.mode_clusters import SHARPEST, UNEXACT
 from loopshape.loop.stability.windows import HALF, LEFT, Windows, windows_of
@@ -41,15 +41,16 @@ _PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 
 class HiddenPole:
     """A pole whose tails are seen on the lines about `low_hz` .. `high_hz`, between which it lies, and not its peak.
 
-    `centre_hz`, `half_width_hz` and `residue` (nc,) are poles r/(j (f - centre) + half width) that these lines allow,
-    the likeliest first. `significance` is the drop of the squared misfit in units of the noise.
+    `pole_hz` is the likeliest z, centre + j half width, of r/(j (f - z)) with its `residue`; `peak`, in the unit of P,
+    the largest |r|/half width that these lines allow. `significance` is the drop of the squared misfit in units of the
+    noise.
     """
 
     low_hz: float
     high_hz: float
-    centre_hz: Array
-    half_width_hz: Array
-    residue: ComplexArray
+    pole_hz: complex
+    residue: complex
+    peak: float
     significance: float
 
 
@@ -145,7 +146,7 @@ def _screen(windows: Windows) -> tuple[Array, Array, Array]:
 def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array, limit: float) -> Array:
     """Root mean square (n,) of what one pole leaves of windows whose `misfit` (n,) is above a limit, else 0."""
     residual = np.zeros(misfit.size)
-    known = np.array([x.centre_hz[0] + 1j * x.half_width_hz[0] for x in poles])
+    known = np.array([x.pole_hz for x in poles], dtype=complex)
     narrow = windows.around[:, -1] < WIDEST * windows.around[:, 0]
     for k in np.flatnonzero(narrow & (misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
         window = windows[int(k)]
@@ -197,7 +198,7 @@ def _pole(window: Windows, threshold: float, unstable: bool) -> HiddenPole | Non
     """The pole that explains one window, where it is significant, in or beside its gap, and not resolved."""
     left, gap = window.rest(window.data[:, :, None]), float(window.gap[0])
     z = _possible(_improved(window, left, _start(window, left)), unstable)
-    drop, r, _ = _explained(window, left, np.array([[z]]))
+    drop, r, variance = _explained(window, left, np.array([[z]]))
     noise = float(_noise((np.abs(left) ** 2).sum() - drop[0, 0]))
     if drop[0, 0] < threshold * noise or not -0.2 * gap < z.real - window.low[0] < 1.2 * gap:
         return None
@@ -205,17 +206,16 @@ def _pole(window: Windows, threshold: float, unstable: bool) -> HiddenPole | Non
     spread = RADIUS_STD * float(np.sqrt(noise) / slope)
     if abs(z.imag) - spread > RESOLVED * gap:
         return None
-    allowed = _allowed(window, left, z, spread, drop[0, 0] - RADIUS_STD**2 * noise, unstable)
-    _, r, variance = _explained(window, left, allowed[None, :])
-    error = RADIUS_STD * np.sqrt(0.5 * noise * variance[0]) + UNEXACT * np.abs(r[0])
-    every = np.tile(allowed, 5)
-    residues = np.concatenate([r[0] + turn * error for turn in (0.0, 1.0, 1j, -1.0, -1j)])
+    spread = min(spread, float(window.around[0, -1] - window.around[0, 0]))
+    residue = complex(r[0, 0] * np.exp(window.power[0] * np.log(z / window.middle[0])))
+    error = UNEXACT + RADIUS_STD * float(np.sqrt(0.5 * noise * variance[0, 0]) / np.abs(r[0, 0]))
+    narrowest = max((1.0 - UNEXACT) * abs(z.imag) - spread, SHARPEST * z.real)
     return HiddenPole(
-        low_hz=float(min(window.low[0], allowed.real.min())),
-        high_hz=float(max(window.low[0] + gap, allowed.real.max())),
-        centre_hz=every.real,
-        half_width_hz=every.imag,
-        residue=residues * window.reference(every.real[None, :])[0],
+        low_hz=float(min(window.low[0], z.real - spread)),
+        high_hz=float(max(window.low[0] + gap, z.real + spread)),
+        pole_hz=z,
+        residue=residue,
+        peak=(1.0 + error) * abs(residue) / narrowest,
         significance=float(drop[0, 0] / noise),
     )
 
@@ -266,27 +266,10 @@ def _improved(window: Windows, left: ComplexArray, z: complex, steps: int = 12) 
     return z
 
 
-def _allowed(
-    window: Windows, left: ComplexArray, z: complex, spread: float, least: float, unstable: bool
-) -> ComplexArray:
-    """Poles (nc,) about the best one: those as near as it is exact, and all that explain as much as `least`."""
-    gap, low, high = float(window.gap[0]), window.around[0, 0], window.around[0, -1]
-    circle = np.exp(1j * TWO_PI * np.arange(12) / 12)
-    every = z + spread * np.concatenate([0.5 * circle, circle])
-    if spread > 0.1 * gap:
-        places, widths = np.meshgrid(np.linspace(-0.2, 1.2, 15), np.geomspace(SHARPEST * z.real, 4.0 * gap, 9))
-        grid = window.low[0] + gap * places.ravel() + 1j * widths.ravel()
-        every = np.concatenate([every, grid, grid.conj() if unstable else grid[:0]])
-    possible = [_possible(complex(np.clip(x.real, low, high), x.imag), unstable) for x in every]
-    tried = np.array(possible, dtype=np.complex128)
-    likely = tried[_explained(window, left, tried[None, :])[0][0] >= least]
-    return np.concatenate([[z], z + UNEXACT * abs(z.imag) * circle[::3], likely])
-
-
 def _apart(poles: list[HiddenPole]) -> tuple[HiddenPole, ...]:
     """The most significant first; those that lie in the same gap are the same."""
     kept: list[HiddenPole] = []
     for pole in sorted(poles, key=lambda x: -x.significance):
-        if all(pole.centre_hz[0] > x.high_hz or pole.centre_hz[0] < x.low_hz for x in kept):
+        if all(pole.pole_hz.real > x.high_hz or pole.pole_hz.real < x.low_hz for x in kept):
             kept.append(pole)
     return tuple(sorted(kept, key=lambda x: x.low_hz))

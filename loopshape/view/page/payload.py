@@ -139,8 +139,6 @@ def _constants() -> dict[str, Any]:
         "small": between.SMALL,
         "most": between.MOST,
         "wide": between.WIDE,
-        "bulge": between.BULGE,
-        "neighbour_lines": between.NEIGHBOUR_LINES,
         "path_half_widths": between.PATH_HALF_WIDTHS.tolist(),
         "places": PLACES.tolist(),
         "sharpest": sampling.SHARPEST,
@@ -283,9 +281,8 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
             {
                 "low_hz": one.low_hz,
                 "high_hz": one.high_hz,
-                "centre": packed(one.centre_hz),
-                "width": packed(one.half_width_hz),
-                "residue": packed(one.residue),
+                "centre_hz": one.pole_hz.real,
+                "peak": one.peak,
             }
             for one in obstacles.hidden_in(loop)
         ],

@@ -41,8 +41,6 @@ export interface Constants {
   most: number;
   wide: number;
   sharpest: number;
-  bulge: number;
-  neighbour_lines: number;
   fit_deg: number;
   wrong: number;
   uncertain_ratio: number;
@@ -123,7 +121,7 @@ interface RawPoint {
   interpolation_residual: string | null;
   resonances: Seen[];
   fit: FitModel | null;
-  hidden: { low_hz: number; high_hz: number; centre: string; width: string; residue: string }[];
+  hidden: Hidden[];
 }
 
 /** A model fitted to an operating point, num(s)/den(s) exp(-s delay) in descending powers, and how well it does. */
@@ -190,9 +188,9 @@ export interface Gap {
 export interface Hidden {
   low_hz: number;
   high_hz: number;
-  centre: Real;
-  width: Real;
-  residue: Complex;
+  centre_hz: number;
+  /** Largest height that the lines allow it. */
+  peak: number;
 }
 
 /** One operating point: a measured plant, smoothed, and everything that does not depend on the controller. */
@@ -304,12 +302,6 @@ function pointOf(raw: RawPoint): Point {
       hidden: realOf(x.hidden),
     })),
     interpolation_residual: raw.interpolation_residual === null ? null : realOf(raw.interpolation_residual),
-    hidden: raw.hidden.map((x) => ({
-      ...x,
-      centre: realOf(x.centre),
-      width: realOf(x.width),
-      residue: complex(x.residue),
-    })),
   };
 }
 

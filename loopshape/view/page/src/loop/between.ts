@@ -1,13 +1,11 @@
-// What the lines step over: turns of 1 + L past resonances between them, and past those that stand close together
+// What the lines step over: a resonance between them that may encircle -1, and turns of 1 + L past those close together
 // (Python: loop/between.py, and `sampling` of loop/obstacles.py).
 
-import { clip, magnitudes, placeIn, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
-import * as control from "../numbers/controller";
+import { clip, magnitudes, placeIn, type Real } from "../numbers/arrays";
 import { turnsPastCluster } from "./cluster";
-import { narrowAt } from "../numbers/dense";
 import type { Loop } from "./loop";
-import type { ModeCluster, Hidden } from "../payload";
-import { angleOf, chords, turnAlong } from "./turns";
+import type { ModeCluster } from "../payload";
+import { chords } from "./turns";
 
 export interface Undecided {
   reason: string;
@@ -27,15 +25,16 @@ export interface Past {
 export function pastResonances(loop: Loop): Past {
   const { point, f } = loop;
   const out: Past = { turns: 0, interpolated: new Uint8Array(Math.max(f.length - 1, 0)), unclear: null };
-  const near = point.clusters.length || point.interpolation_residual ? nearest(loop) : null;
+  const near = point.clusters.length || point.hidden.length || point.interpolation_residual ? nearest(loop) : null;
   const clusters = near ? reached(loop, near) : [];
   for (const cluster of clusters) if (cluster.left !== "scatter") pastCluster(loop, cluster, out);
-  for (const pole of point.hidden) {
-    if (out.interpolated[clip(placeIn(f, pole.centre[0]) - 1, 0, f.length - 2)]) continue;
-    const { first, last, least, most, sure } = turnsPast(loop, pole);
-    out.turns += least;
+  const size = near && point.hidden.length ? largerC(loop) : new Float64Array(0);
+  for (const { low_hz, high_hz, centre_hz, peak } of near ? point.hidden : []) {
+    const first = clip(placeIn(f, low_hz, true) - 1, 0, f.length - 2);
+    const last = clip(placeIn(f, high_hz), first + 1, f.length - 1);
+    const largest = peak * Math.max(...size.subarray(first, last));
+    if (out.interpolated[clip(placeIn(f, centre_hz) - 1, 0, f.length - 2)] || !near || largest <= Math.min(...near.subarray(first, last))) continue;
     out.interpolated.fill(1, first, last);
-    if (least === most && sure) continue;
     const words = `a resonance between ${short(f[first], 4)} and ${short(f[last], 4)} Hz, sharper than the lines, may or may not encircle -1`;
     out.unclear ??= { reason: `${words}: measure finer there`, band_hz: [f[first], f[last]] };
   }
@@ -97,91 +96,4 @@ const gapsWhere = (values: Real, holds: (value: number, k: number) => boolean): 
 function unexplained(low: number, high: number): Undecided {
   const reason = `neither noise nor resonances explain the lines between ${short(low, 4)} and ${short(high, 4)} Hz: measure finer there`;
   return { reason, band_hz: [low, high] };
-}
-
-interface Turns {
-  first: number;
-  last: number;
-  least: number;
-  most: number;
-  sure: boolean;
-}
-
-function turnsPast(loop: Loop, pole: Hidden): Turns {
-  const { point, f, denseL, dense, controller } = loop;
-  const { neighbour_lines } = loop.plant.source.constants;
-  const low = clip(placeIn(f, pole.low_hz, true) - 1, 0, f.length - 2);
-  const high = clip(placeIn(f, pole.high_hz), low + 1, f.length - 1);
-  const first = Math.max(low - neighbour_lines, 0);
-  const last = Math.min(high + neighbour_lines, f.length - 1);
-  const own = f.slice(first, last + 1);
-  const rest: Complex = { re: point.raw.re.slice(first, last + 1), im: point.raw.im.slice(first, last + 1) };
-  for (let k = 0; k < own.length; k++) {
-    const narrow = narrowAt(point, own[k]);
-    rest.re[k] -= narrow[0];
-    rest.im[k] -= narrow[1];
-  }
-  const [here, there] = [placeIn(dense.f, own[0]), placeIn(dense.f, own[own.length - 1])];
-  const straight = turnAlong(denseL, here, there);
-  const out: Turns = { first, last, least: Infinity, most: -Infinity, sure: true };
-  for (let c = 0; c < pole.centre.length; c++) {
-    const path = pastPole(loop, pole, c, own, rest);
-    const turns = Math.round((turnAlong(path.L, 0, path.at.length - 1) - straight) / TWO_PI);
-    out.least = Math.min(out.least, turns);
-    out.most = Math.max(out.most, turns);
-    if (c === 0) {
-      const bulge = bulges(own, times(control.response(controller, own), path.smooth), loop.plant.source.constants.bulge);
-      out.sure = chords(path.L).every((near, k) => near > bulge[clip(placeIn(own, path.at[k], true) - 1, 0, own.length - 2)]);
-    }
-  }
-  return out;
-}
-
-function pastPole(loop: Loop, pole: Hidden, c: number, own: Real, rest: Complex): { at: Real; L: Complex; smooth: Complex } {
-  const [zr, zi] = [pole.centre[c], pole.width[c]];
-  const [rr, ri] = [pole.residue.re[c], pole.residue.im[c]];
-  const term = (x: number): [number, number] => {
-    const size = (x - zr) ** 2 + zi * zi;
-    const [qr, qi] = [(rr * (x - zr) - ri * zi) / size, (ri * (x - zr) + rr * zi) / size];
-    return [qi, -qr];
-  };
-  const smooth: Complex = { re: rest.re.slice(), im: rest.im.slice() };
-  own.forEach((x, k) => {
-    const [re, im] = term(x);
-    smooth.re[k] -= re;
-    smooth.im[k] -= im;
-  });
-  const [start, end] = [own[0], own[own.length - 1]];
-  const even = Array.from({ length: 4 * own.length }, (_, k) => start + ((end - start) * k) / (4 * own.length - 1));
-  const near = loop.plant.source.constants.path_half_widths.map((place) => zr + Math.abs(zi) * place);
-  const at = Float64Array.from([...near, ...own, ...even], (x) => clip(x, start, end)).sort();
-  const P: Complex = { re: new Float64Array(at.length), im: new Float64Array(at.length) };
-  for (let k = 0; k < at.length; k++) {
-    const gap = clip(placeIn(own, at[k], true) - 1, 0, own.length - 2);
-    const share = (at[k] - own[gap]) / (own[gap + 1] - own[gap]);
-    const [re, im] = term(at[k]);
-    const narrow = narrowAt(loop.point, at[k]);
-    P.re[k] = re + smooth.re[gap] + share * (smooth.re[gap + 1] - smooth.re[gap]) + narrow[0];
-    P.im[k] = im + smooth.im[gap] + share * (smooth.im[gap + 1] - smooth.im[gap]) + narrow[1];
-  }
-  return { at, L: times(control.response(loop.controller, at), P), smooth };
-}
-
-/** How far L may leave its curve between lines (`bulges`). */
-function bulges(f: Real, L: Complex, share: number): Real {
-  const n = f.length;
-  const off = new Float64Array(n);
-  for (let k = 1; k < n - 1; k++) {
-    const part = Math.log(f[k] / f[k - 1]) / Math.log(f[k + 1] / f[k - 1]);
-    const size = Math.hypot(L.re[k + 1], L.im[k + 1]) / Math.hypot(L.re[k - 1], L.im[k - 1]);
-    const turn = angleOf(L.re[k + 1], L.im[k + 1], L.re[k - 1], L.im[k - 1]) * part;
-    const [qr, qi] = [size ** part * Math.cos(turn), size ** part * Math.sin(turn)];
-    const re = L.re[k - 1] * qr - L.im[k - 1] * qi;
-    const im = L.re[k - 1] * qi + L.im[k - 1] * qr;
-    const value = Math.hypot(L.re[k] - re, L.im[k] - im);
-    off[k] = Number.isFinite(value) ? value : 0;
-  }
-  off[0] = off[1];
-  off[n - 1] = off[n - 2];
-  return Float64Array.from({ length: n - 1 }, (_, k) => share * Math.max(off[k], off[k + 1]));
 }
