@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,17 +21,41 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning
     from loopshape.io.run.verify import Finding
 
+_READERS = {
+    ".toml": "loopshape.io.write.controllers:read_loop_controllers",
+    ".npz": "loopshape.io.write.predictions:read_predictions",
+    ".json": "loopshape.io.write.verdicts:read_verdicts",
+}
 FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
 
-def read(folder: str | Path) -> Run:
-    """The run in a folder, as `loopshape measure` and `import` write it; columns load when asked for.
+def read(path: str | Path) -> Any:
+    """What `write` and the commands wrote: the run in a folder, whose columns load when asked for, or a file's nouns.
 
-    Raises UnreadableInputError for a folder that holds no run or a damaged one.
+    Controllers and schedules, or requirements, one a loop (.toml), predictions (.npz), verdicts with their controllers
+    (.json), or one FRF (.csv, .mat, .uff, ...). Raises UnreadableInputError for what holds none of these or is damaged.
+
+    Examples
+    --------
+    >>> import loopshape as ls, tempfile
+    >>> C = ls.controller(ls.gain(2.0), rate_hz=1000.0, loop="x")
+    >>> ls.read(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].blocks == C.blocks
+    True
     """
+    from loopshape.core.toolboxes import found, function_at
+    from loopshape.io.files import read_toml
     from loopshape.io.run.run_folder import read_run
 
-    return read_run(Path(folder))
+    place = Path(path)
+    if place.is_dir() or not place.suffix:
+        return read_run(place)
+    kind = place.suffix.lower()
+    if kind == ".toml" and str(read_toml(place).get("format")).startswith("loopshape-requirements"):
+        return read_requirements(place)
+    other = found().all("names").get("read_frf")
+    if kind not in _READERS and other is None:
+        raise WrongUseError("a file of this kind is not read", str(path), f"give a folder, or {', '.join(_READERS)}")
+    return function_at(_READERS.get(kind, f"{other}:read_frf"))(place)
 
 
 def read_controllers(file: str | Path) -> tuple[Controller, ...]:
@@ -112,7 +135,13 @@ def copy_examples(to: str | Path) -> list[Path]:
 
 
 def write(
-    what: Run | Controller | GainScheduled | Tuning | FRF | Sequence[Controller | GainScheduled | Tuning | Prediction],
+    what: Run
+    | Controller
+    | GainScheduled
+    | Tuning
+    | FRF
+    | Prediction
+    | Sequence[Controller | GainScheduled | Tuning | Prediction],
     path: str | Path,
 ) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
@@ -121,66 +150,36 @@ def write(
     that the ending names (.csv, .mat, .uff). A sequence of controllers, one a loop, or of predictions is one file, too.
     Raises WrongUseError for another ending and for other things.
     """
-    target = Path(path)
-    _write(what, target)
-    return target
-
-
-@singledispatch
-def _write(what: Any, path: Path) -> None:
     from loopshape.core.toolboxes import found, function_at
-
-    if isinstance(controller := getattr(what, "controller", None), Controller):  # of a tuning
-        _write(controller, path)
-        return
-    if place := found().all("writers").get(type(what).__name__):
-        function_at(place)(path, what)
-        return
-    known = "a Run, a Controller, a GainScheduled, a Tuning or an FRF"
-    raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
-
-
-@_write.register
-def _(what: Run, path: Path) -> None:
     from loopshape.io.run.run_folder import write_run
-
-    write_run(path, what)
-
-
-@_write.register
-def _(what: Controller, path: Path) -> None:
-    from loopshape.io.write.controllers import write_controllers
-
-    write_controllers(path, (what,))
-
-
-@_write.register
-def _(what: GainScheduled, path: Path) -> None:
-    from loopshape.io.write.controllers import write_controllers
-
-    write_controllers(path, (what,))
-
-
-@_write.register(list | tuple)
-def _(what: Sequence[Any], path: Path) -> None:
     from loopshape.io.write.controllers import write_controllers
     from loopshape.io.write.predictions import write_predictions
 
-    if all(isinstance(one, Prediction) for one in what):
-        write_predictions(path, what)
-        return
-    made = [getattr(one, "controller", one) for one in what]
-    if strange := [type(one).__name__ for one in made if not isinstance(one, Controller | GainScheduled)]:
+    target = Path(path)
+    every: list[Any] = list(what) if isinstance(what, list | tuple) else [what]
+    made = [getattr(one, "controller", one) for one in every]  # of a tuning
+    strange = [type(one).__name__ for one in made if not isinstance(one, Controller | GainScheduled)]
+    if place := found().all("writers").get(type(what).__name__):
+        function_at(place)(target, what)
+    elif isinstance(what, Run):
+        write_run(target, what)
+    elif all(isinstance(one, Prediction) for one in every):
+        write_predictions(target, every)
+    elif not strange:
+        write_controllers(target, made)
+    elif isinstance(what, list | tuple):
         raise WrongUseError("one file holds controllers or predictions", ", ".join(strange), "write others one by one")
-    write_controllers(path, made)
+    else:
+        known = "a Run, a Controller, a GainScheduled, a Tuning, an FRF or a Prediction"
+        raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
+    return target
 
 
 def figure_bytes(megabytes: float) -> int:
     """Size of the pictures that a report carries; refuses what is no size."""
     if not 0.0 <= megabytes <= MOST_MB:
-        raise WrongUseError(
-            f"the size of the embedded pictures (figures_mb) is a number of 0 .. {MOST_MB:g} MB", f"{megabytes:g} MB"
-        )
+        what = f"the size of the embedded pictures (figures_mb) is a number of 0 .. {MOST_MB:g} MB"
+        raise WrongUseError(what, f"{megabytes:g} MB")
     return int(1e6 * megabytes)
 
 
@@ -202,27 +201,20 @@ def report(
     """
     given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
     path = Path(out or Path(run_folder) / "report.html")
-    write_report(path, Path(run_folder), given[0], given[1], given[2], date, figures_mb)
+    write_report(path, Path(run_folder), given, date, figures_mb)
     return path
 
 
 def write_report(
-    path: Path,
-    folder: Path,
-    controllers: Path | None,
-    requirements: Path | None,
-    diagram: Path | None,
-    date: str | None,
-    figures_mb: float,
+    path: Path, folder: Path, given: Sequence[Path | None], date: str | None, figures_mb: float
 ) -> tuple[RunReport, int]:
-    """Write a run's report; gives what it holds, and its size in bytes. The date is now where none is given."""
+    """Write a run's report from files of controllers, requirements and diagram; gives it and its size in bytes."""
     from loopshape.io.files import write_bytes_whole
     from loopshape.io.run.report_inputs import gather
     from loopshape.view.html.page import page
 
-    limit = figure_bytes(figures_mb)
     day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    made = gather(folder, controllers, requirements, day, limit, diagram)
+    made = gather(folder, given[0], given[1], day, figure_bytes(figures_mb), given[2])
     data = page(made).encode("utf-8")
     write_bytes_whole(path, data)
     return made, len(data)

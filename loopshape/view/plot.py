@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,23 +38,28 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning
 
     Plants = FRF | Sequence[FRF] | Diagram
+    Drawn = Controller | Tuning | Mapping[str, Controller | Tuning]
 
 
 #: frequencies of a controller's own picture, of its rate
 GRID = np.geomspace(1e-4, 0.4999, 360)
 
 
-def _loops(P: Plants, C: Controller | Tuning, R: Requirements | None) -> list[Loop]:
-    controller = C if isinstance(C, Controller) else C.controller
-    asked = R or Requirements(controller.loop)
-    if isinstance(P, Diagram):
-        found = P.equivalent()
-        return loops_of(found.plants, controller, found.asked(asked))[0]
-    return loops_of((P,) if isinstance(P, FRF) else tuple(P), controller, asked)[0]
+def _loops(P: Plants, C: Drawn, R: Requirements | None) -> list[Loop]:
+    """The loops of all plants with one controller, or with each of several, then named by plant and controller."""
+    found = P.equivalent() if isinstance(P, Diagram) else None
+    plants = (P,) if isinstance(P, FRF) else P.equivalent().plants if isinstance(P, Diagram) else tuple(P)
+    loops: list[Loop] = []
+    for name, one in C.items() if isinstance(C, Mapping) else [("", C)]:
+        controller = one if isinstance(one, Controller) else one.controller
+        asked = R or Requirements(controller.loop)
+        named = [replace(plant, recording=f"{plant.recording} {name}".strip()) for plant in plants] if name else plants
+        loops += loops_of(named, controller, found.asked(asked) if found else asked)[0]
+    return loops
 
 
 class Plots:
-    """Plants, a controller and perhaps requirements in, matplotlib's Axes or Figure out."""
+    """Plants, a controller (or several by name) and perhaps requirements in, matplotlib's Axes or Figure out."""
 
     __name__ = "loopshape.plot"
 
@@ -110,7 +117,7 @@ class Plots:
     @staticmethod
     def nyquist(
         P: Plants,
-        C: Controller | Tuning,
+        C: Drawn,
         R: Requirements | None = None,
         *,
         verdict: Verdict | None = None,
@@ -122,7 +129,7 @@ class Plots:
     @staticmethod
     def nichols(
         P: Plants,
-        C: Controller | Tuning,
+        C: Drawn,
         R: Requirements | None = None,
         *,
         verdict: Verdict | None = None,
@@ -137,12 +144,15 @@ class Plots:
     @staticmethod
     def bode(
         P: Plants,
-        C: Controller | Tuning | None = None,
+        C: Drawn | None = None,
         R: Requirements | None = None,
         *,
         verdict: Verdict | None = None,
     ) -> Figure:
-        """Plant, controller, open loop, |S| and |T| over frequency, with bands and limits; without C one FRF."""
+        """Plant, controller, open loop, |S| and |T| over frequency, with bands and limits; without C one FRF.
+
+        Of several controllers by name, `{"old": C1, "new": C2}`, all loops stand in one figure.
+        """
         if C is None:
             return plot(P)
         found = _loops(P, C, R)
@@ -151,9 +161,7 @@ class Plots:
         return pages.loop_page(found, R, verdict=verdict)
 
     @staticmethod
-    def sensitivities(
-        P: Plants, C: Controller | Tuning, R: Requirements | None = None, *, verdict: Verdict | None = None
-    ) -> Figure:
+    def sensitivities(P: Plants, C: Drawn, R: Requirements | None = None, *, verdict: Verdict | None = None) -> Figure:
         """|S|, |T|, |CS| and |PS| of all operating points in dB, each under its limit."""
         return pages.sensitivities(_loops(P, C, R), R, verdict=verdict)
 

@@ -95,3 +95,19 @@ def test_pictures_without_loops_are_refused() -> None:
     for picture in (nichols, pictures.loop_page, pictures.sensitivities):
         with pytest.raises(ls.errors.WrongUseError, match="at least one"):
             picture([], None)
+
+
+def test_two_controllers_stand_in_one_figure(tmp_path) -> None:
+    f = np.geomspace(1.0, 200.0, 120)
+    H = np.exp(-2j * np.pi * f * 0.001) / (1.0 + 2j * np.pi * f * 0.02) ** 2
+    P = ls.FRF.from_arrays(f, H, std=1e-5 * np.abs(H), rate_hz=1000.0, loop="x", recording="r1")
+    made = {"old": 2.0, "new": 5.0}
+    C = {name: ls.controller(ls.gain(k), rate_hz=1000.0, loop="x") for name, k in made.items()}
+    figure = ls.plot.bode(P, C, ls.Requirements("x", phase_margin_deg=45.0, integrators=0, unstable_poles=0))
+    figure.savefig(tmp_path / "two.png")
+    S = next(ax for ax in figure.axes if ax.get_ylabel() == "|S| [dB]")
+    for line, k in zip(by_gid(S, None), made.values(), strict=True):
+        np.testing.assert_allclose(line.get_ydata(), -20.0 * np.log10(np.abs(1.0 + k * H)), atol=1e-3)
+    named = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+    assert {"r1 old", "r1 new"} <= set(named)
+    ls.plot.nichols(P, C).figure.savefig(tmp_path / "nichols.png")

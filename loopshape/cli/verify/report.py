@@ -28,7 +28,7 @@ def report(
     from loopshape.view.html.words import WORDS
 
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, size = write_report(path, run, controller, require, diagram, date, figures_mb)
+    made, size = write_report(path, run, (controller, require, diagram), date, figures_mb)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())

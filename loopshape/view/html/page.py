@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Callable, Sequence
 from importlib.resources import files
 from typing import Any
@@ -9,13 +10,13 @@ from typing import Any
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.run_report import CheckedLoop, RunReport
+from loopshape.data.result.run_report import CheckedLoop, RunReport, StoredFigure
 from loopshape.data.result.verdict import Verdict
-from loopshape.view.html import model_parts, run_parts, source_parts, verdict_parts
+from loopshape.view.html import model_parts, run_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces
-from loopshape.view.html.words import WORDS
+from loopshape.view.html.words import WORDS, Cell, count, definitions, details, figure, table
 from loopshape.view.page.page import resource
 from loopshape.view.page.payload import limit_words
 
@@ -25,6 +26,20 @@ _READ = (
     " - zoom, 0 shows all; with the mouse drag to move, turn the wheel with Ctrl to zoom. The legend hides and shows"
     " operating points."
 )
+#: beginning of a picture's file name -> what it shows
+_PICTURES = {
+    "nichols": "Nichols plot of the open loop at all operating points",
+    "loop": "Plant, controller and open loop with |S| and |T|",
+    "sensitivities": "|S|, |T|, |CS| and |PS| with their limits",
+    "margins": "Map of the margins over the operating points",
+    "frf": "Frequency response with its uncertainty",
+    "fit": "Fitted parameter over the operating points",
+    "matrix": "Matrix of frequency responses",
+    "interaction": "Interaction of the loops",
+    "gap": "Gap between recordings and simulation",
+    "step": "Step response",
+    "atlas": "Sensitivity over the operating points",
+}
 
 
 def page(report: RunReport) -> str:
@@ -83,12 +98,12 @@ def _sections(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, lis
         ("margins", "Margins at every operating point", checked, lambda: _each(checked, verdict_parts.margins)),
         ("stability", "Stability certificate", checked, lambda: _each(checked, verdict_parts.certificate)),
         ("plots", "Plots", plotted, lambda: _plots(r, plotted)),
-        ("pictures", "Pictures", r.figures or r.figures_left_out, lambda: source_parts.pictures(r)),
+        ("pictures", "Pictures", r.figures or r.figures_left_out, lambda: pictures(r)),
         ("controllers", "Controllers", r.controllers, lambda: joined(map(model_parts.controller, r.controllers))),
         ("fits", "Fits", r.fits, lambda: model_parts.fits(r.fits)),
         ("responses", "Frequency responses", r.frfs or r.matrices, lambda: run_parts.responses(r.frfs, r.matrices)),
         ("recordings", "Recordings and faults", r.recordings, lambda: run_parts.recordings(r.recordings, r.notes)),
-        ("provenance", "Provenance", True, lambda: source_parts.provenance(r)),
+        ("provenance", "Provenance", True, lambda: provenance(r)),
     ]
     return [(key, title, inside()) for key, title, there, inside in every if there]
 
@@ -176,3 +191,66 @@ def _thinned(traces: Sequence[Trace], checked: bool) -> str:
         f"{text} {curves} {bands} the 95 % band of each frequency by itself, to first order, for S and T by the error"
         " of P; the tables' intervals are those of the check."
     )
+
+
+def alt_text(name: str) -> str:
+    """What a picture shows, from its file's name: `nichols_axis.png`."""
+    stem = name.rsplit(".", 1)[0]
+    kind, _, rest = stem.partition("_")
+    return f"{_PICTURES.get(kind, f'Picture {stem}')}{f': {rest}' if rest and kind in _PICTURES else ''}"
+
+
+def pictures(report: RunReport) -> Markup:
+    """The pictures found in the run, those of single recordings folded away, and what was left out."""
+    single = {f"frf_{one.loop}_{one.recording}" for one in report.frfs}
+    shown = [one for one in report.figures if one.name.rsplit(".", 1)[0] not in single]
+    pages = [one for one in report.figures if one.name.rsplit(".", 1)[0] in single]
+    words = (
+        "These lay in the run's folder figures as earlier commands left them, and may be older than the data. The plots"
+        " and tables above are made from the data listed under provenance."
+    )
+    parts: list[Content] = [tag("p", words, class_="quiet"), tag("div", *map(_picture, shown), class_="pictures")]
+    if pages:
+        inside = tag("div", *map(_picture, pages), class_="pictures")
+        parts.append(details(f"Pages of single recordings ({len(pages)})", inside, print_=len(pages) <= 4))
+    if report.figures_left_out:
+        left = [tag("li", f"{name}: {why}") for name, why in report.figures_left_out.items()]
+        parts += [tag("p", "Left out:"), tag("ul", *left)]
+    return joined(parts)
+
+
+def _picture(one: StoredFigure) -> Markup:
+    kind = {"png": "image/png", "svg": "image/svg+xml"}[one.kind]
+    source = f"data:{kind};base64,{b64encode(one.data).decode('ascii')}"
+    words = alt_text(one.name)
+    image = tag("img", src=Markup(source), alt=words)
+    return tag("figure", image, tag("figcaption", f"{words} ({one.name})"))
+
+
+def provenance(report: RunReport) -> Markup:
+    """Who computed when from what: versions, date, every input with its SHA-256, and the files of words verbatim."""
+    facts: list[tuple[Content, Content]] = [("Made", report.date), ("Run", report.name)]
+    if report.run is not None and report.run.plant:
+        facts.append(("Plant", report.run.plant))
+    facts += [(name, version) for name, version in report.versions.items()]
+    rows: list[list[Cell | Content]] = [
+        [
+            one.name,
+            figure(float(one.size_bytes), f"{one.size_bytes:,}".replace(",", "\N{NARROW NO-BREAK SPACE}")),
+            tag("code", one.sha256),
+        ]
+        for one in report.files
+    ]
+    parts: list[Content] = [definitions(facts)]
+    inputs = table(f"Inputs ({count(len(rows), 'file')})", ["file", "bytes", "SHA-256"], rows)
+    parts.append(
+        details(
+            f"Inputs and their SHA-256 ({count(len(rows), 'file')})", inputs, open_=(few := len(rows) <= 20), print_=few
+        )
+    )
+    for one in report.texts:
+        shown = tag("pre", tag("code", one.text), tabindex="0", aria_label=f"{one.what} {one.name}")
+        parts.append(
+            details(f"{one.what}: {one.name}, verbatim", shown, open_=(given := one.what != "run"), print_=given)
+        )
+    return joined(parts)

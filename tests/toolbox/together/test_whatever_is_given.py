@@ -155,7 +155,7 @@ CALLS = {
                            longest_s=60.0, kind="odd"), repr),
     "export": (ls.formats.export, dict(controllers=C, folder=Path("export"), to="json"), repr),
     "write": (ls.write, dict(what=C, path=Path("c.toml")), repr),
-    "read": (ls.read, dict(folder=Path("none")), repr),
+    "read": (ls.read, dict(path=Path("none")), repr),
     "read_frf": (ls.formats.read_frf, dict(file=Path("none.csv"), relative_std=0.01, rate_hz=RATE), repr),
     "read_table": (ls.formats.read_table, dict(file=Path("none.csv"), map_file=Path("none.toml")), repr),
     "read_controllers": (ls.read_controllers, dict(file=Path("none.toml")), repr),
