@@ -23,8 +23,8 @@ from pathlib import Path
 from loopshape.core.errors import WrongUseError
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import line_text, stability_text
+from loopshape.io.requirements import read_requirements
 from loopshape.io.write.check_files import Baseline, LoopCheck, against, check_files
-from loopshape.io.write.requirements import read_requirements
 from loopshape.view.verdict.tables import comparison_text
 
 AnyPath = str | PathLike[str]

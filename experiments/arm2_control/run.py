@@ -29,7 +29,7 @@ from loopshape.data.result.verdict import Verdict  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
-from loopshape.io.write.requirements import read_requirements  # noqa: E402
+from loopshape.io.requirements import read_requirements  # noqa: E402
 from loopshape.loop.matrix.several import check_several  # noqa: E402
 from loopshape.loop.verdict import check, loops_of  # noqa: E402
 from loopshape.toolbox.arm.arm2 import Arm2  # noqa: E402

@@ -13,8 +13,8 @@ import numpy as np
 import loopshape as ls
 from loopshape.core.units import deg
 from loopshape.identify.matrix.interaction import interaction
+from loopshape.io.requirements import read_requirements
 from loopshape.io.write.controllers import write_controllers
-from loopshape.io.write.requirements import read_requirements
 from loopshape.toolbox.arm.arm2 import Arm2
 from loopshape.toolbox.diagrams.decoupling.decouple import Decoupling
 from loopshape.toolbox.rig.files.study import read_study

@@ -12,7 +12,7 @@ from loopshape.core.units import deg
 from loopshape.data.control.block import BlockTemplate
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.io.write.requirements import read_requirements
+from loopshape.io.requirements import read_requirements
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 

@@ -20,8 +20,8 @@ from beyond_scores import scores  # noqa: E402
 from beyond_supply import at_supply, point_rows, pressure_controller, supply_row  # noqa: E402
 
 from loopshape.io.files import write_bytes_whole  # noqa: E402
+from loopshape.io.requirements import read_requirements  # noqa: E402
 from loopshape.io.write.controllers import read_controllers  # noqa: E402
-from loopshape.io.write.requirements import read_requirements  # noqa: E402
 from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 

@@ -23,8 +23,8 @@ from decoupling_static import behind, lines, loop_margins, matrices  # noqa: E40
 from loopshape.core.units import Array, db  # noqa: E402
 from loopshape.data.result.margins import Margins  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
+from loopshape.io.requirements import read_requirements  # noqa: E402
 from loopshape.io.write.controllers import read_controllers  # noqa: E402
-from loopshape.io.write.requirements import read_requirements  # noqa: E402
 from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.study import Study  # noqa: E402
 from loopshape.view.style import png  # noqa: E402

@@ -10,7 +10,7 @@ from loopshape.data.response.model import Fit
 from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.structures import Rational
-from loopshape.io.write.requirements import read_requirements
+from loopshape.io.requirements import read_requirements
 from loopshape.toolbox.formats.tables.import_file import import_file
 
 FOLDER = Path(__file__).parents[2] / "examples" / "motor_bench"

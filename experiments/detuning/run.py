@@ -16,7 +16,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.design.tune import tune
-from loopshape.io.write.requirements import read_requirements
+from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check
 
 HERE = Path(__file__).parent

@@ -24,7 +24,7 @@ from loopshape.design.problem.shifts import copies_for
 from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.write.requirements import read_requirements
+from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check, loops_of
 from loopshape.view.style import new_figure, png, styled
 

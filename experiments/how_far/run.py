@@ -17,7 +17,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.design.tune import tune
 from loopshape.io.files import write_bytes_whole
-from loopshape.io.write.requirements import read_requirements
+from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check, loops_of
 from loopshape.toolbox.limits import bound as bound_module
 from loopshape.toolbox.limits import bound_regions

@@ -32,10 +32,10 @@ from loopshape.design.tune import tune
 from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.structures import Structure
 from loopshape.io.files import write_bytes_whole
+from loopshape.io.requirements import read_requirements
 from loopshape.io.run.run_folder import read_run
 from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.predictions import write_predictions
-from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.predict.prediction import predict
 from loopshape.loop.predict.remeasured import Remeasured, remeasure
 from loopshape.loop.verdict import check

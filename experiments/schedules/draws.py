@@ -14,7 +14,7 @@ from scipy.stats import f as f_distribution
 import loopshape as ls
 from loopshape.identify.frequency_response import estimate_realisations, estimate_together
 from loopshape.identify.settings import Settings
-from loopshape.io.write.requirements import read_requirements
+from loopshape.io.requirements import read_requirements
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.loop.verdict import loops_of
 from loopshape.toolbox.arm.arm1 import Arm1

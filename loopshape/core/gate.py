@@ -19,13 +19,17 @@ from functools import cache, wraps
 from importlib import import_module
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError, an
 from loopshape.core.toolboxes import found
+
+Positive = Annotated[float, "positive"]  # what readers of files hold these to
+FromZero = Annotated[float, "a number from 0 on"]
+Count = Annotated[int, "a whole number from 0 on"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 #: numbers from here on are none that anything can be computed with

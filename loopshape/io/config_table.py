@@ -6,10 +6,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError, meant, refuse_unknown
+from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError, refuse_unknown
+from loopshape.core.gate import Count, Positive
 from loopshape.io.files import read_toml, short
+from loopshape.io.schema import label, missing_keys, read, unknown_keys, value_of
+
+T = TypeVar("T")
 
 
 @contextmanager
@@ -19,11 +23,6 @@ def said_in(where: str) -> Iterator[None]:
         yield
     except LoopshapeError as error:
         raise type(error)(f"{where}: {error.what}", error.received, error.way_out) from None
-
-
-def is_number(value: object) -> bool:
-    """Whether a value is a finite number and no truth value."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300
 
 
 @dataclass(frozen=True)
@@ -36,32 +35,25 @@ class ConfigTable:
     def only(self, *known: str) -> None:
         """Refuse keys that are not known, by name."""
         if unknown := [key for key in self.table if key not in known]:
-            raise WrongUseError(
-                f"{self.where}: unknown key", short(", ".join(map(repr, unknown))),
-                f"{meant(unknown[0], known)}known are {', '.join(known)}",
-            )  # fmt: skip
+            with said_in(self.where):
+                raise unknown_keys(unknown, known)
 
     def need(self, *keys: str) -> None:
         """Refuse a table without these keys, naming all that are missing."""
         if missing := [key for key in keys if key not in self.table]:
-            raise WrongUseError(
-                f"{self.where}: {'keys are' if len(missing) > 1 else 'a key is'} missing",
-                f"no {', '.join(missing)}",
-                "write them" if len(missing) > 1 else "write it",
-            )
+            with said_in(self.where):
+                raise missing_keys(missing)
 
-    def _wrong(self, key: str, wanted: str) -> WrongUseError:
-        return WrongUseError(f"{self.where}: {short(key)} must be {wanted}", short(repr(self.table[key])))
-
-    def text(self, key: str, default: str | None = None) -> str:
-        """A text; without a default a missing key is refused."""
+    def value(self, key: str, hint: Any, default: Any = None) -> Any:
+        """A value of a type; without a default a missing key is refused."""
         if key not in self.table and default is not None:
             return default
         self.need(key)
-        value = self.table[key]
-        if not isinstance(value, str) or not value:
-            raise self._wrong(key, "a text in quotes")
-        return value
+        return value_of(hint, self.table[key], key, self.where)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A text; without a default a missing key is refused."""
+        return str(self.value(key, str, default))
 
     def maybe_text(self, key: str) -> str | None:
         """A text, or None where the key is missing."""
@@ -75,83 +67,39 @@ class ConfigTable:
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number; without a default a missing key is refused."""
-        if key not in self.table and default is not None:
-            return default
-        self.need(key)
-        if not is_number(self.table[key]):
-            raise self._wrong(key, "a finite number")
-        return float(self.table[key])
-
-    def maybe_number(self, key: str) -> float | None:
-        """A finite number, or None where the key is missing."""
-        return self.number(key) if key in self.table else None
+        return float(self.value(key, float, default))
 
     def positive(self, key: str, default: float | None = None) -> float:
         """A finite number above zero."""
-        value = self.number(key, default)
-        if value <= 0.0:
-            raise self._wrong(key, "positive")
-        return value
+        return float(self.value(key, Positive, default))
 
     def whole(self, key: str, default: int) -> int:
         """A whole number from 0 on."""
-        value = self.table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
-            raise self._wrong(key, "a whole number from 0 on")
-        return value
-
-    def truth(self, key: str, default: bool) -> bool:
-        """true or false."""
-        value = self.table.get(key, default)
-        if not isinstance(value, bool):
-            raise self._wrong(key, "true or false")
-        return value
-
-    def list_of_numbers(self, key: str) -> tuple[float, ...]:
-        """A list of finite numbers."""
-        self.need(key)
-        value = self.table[key]
-        if not isinstance(value, list) or not all(is_number(v) for v in value):
-            raise self._wrong(key, "a list of numbers")
-        return tuple(float(v) for v in value)
+        return int(self.value(key, Count, default))
 
     def list_of_texts(self, key: str) -> tuple[str, ...]:
         """A list of texts; empty where it is missing."""
-        value = self.table.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(v, str) and v for v in value):
-            raise self._wrong(key, "a list of texts in quotes")
-        return tuple(value)
-
-    def list_of_texts_or_empty(self, key: str) -> tuple[str, ...]:
-        """A list of texts, of which some may be empty; empty where it is missing."""
-        value = self.table.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise self._wrong(key, "a list of texts in quotes")
-        return tuple(value)
+        return tuple(self.value(key, tuple[str, ...], ()))
 
     def inner(self, key: str) -> ConfigTable:
         """A table inside this one; empty where it is missing."""
-        value = self.table.get(key, {})
-        if not isinstance(value, dict):
-            raise self._wrong(key, "a table")
-        return ConfigTable(value, f"{self.where}, {short(key)}")
+        return ConfigTable(self.value(key, Mapping[str, Any], {}), f"{self.where}, {short(key)}")
 
     def numbers(self, key: str) -> dict[str, float]:
         """A table of numbers; empty where it is missing."""
-        inner = self.inner(key)
-        return {name: inner.number(name) for name in inner.table}
+        return dict(self.value(key, Mapping[str, float], {}))
 
     def tables(self, key: str) -> tuple[ConfigTable, ...]:
         """A list of tables, each placed by its name or number; empty where it is missing."""
-        value = self.table.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(v, dict) for v in value):
-            raise self._wrong(key, "a list of tables")
-        return tuple(ConfigTable(v, f"{self.where}, {key} {_label(v, i)}") for i, v in enumerate(value, start=1))
+        value = self.value(key, tuple[Mapping[str, Any], ...], ())
+        return tuple(ConfigTable(v, f"{self.where}, {key} {label(v, i)}") for i, v in enumerate(value, start=1))
 
 
-def _label(table: Mapping[str, Any], number: int) -> str:
-    name = table.get("name", table.get("file"))
-    return short(repr(name)) if isinstance(name, str) else str(number)
+def read_file(path: Path, kind: type[T], file_format: str) -> T:
+    """A TOML file of one format as a noun; refuses another format by name, and what `schema.read` refuses."""
+    table = dict(read_words(path, file_format).table)
+    del table["format"]
+    return read(kind, table, path.name)
 
 
 def read_words(path: Path, file_format: str) -> ConfigTable:

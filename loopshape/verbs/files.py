@@ -83,7 +83,7 @@ def read_gain_scheduled(file: str | Path) -> tuple[GainScheduled, ...]:
 
 def read_requirements(file: str | Path) -> tuple[Requirements, ...]:
     """The requirements in a file (TOML), one a loop. Raises UnreadableInputError for another file."""
-    from loopshape.io.write.requirements import read_requirements as read_file
+    from loopshape.io.requirements import read_requirements as read_file
 
     return read_file(Path(file))
 
@@ -99,7 +99,7 @@ def profiles(file: str | Path | None = None) -> dict[str, Profile]:
     >>> ls.profiles()["servo"].joined(ls.Requirements(phase_margin_deg=45))
     Requirements: phase_margin_deg at least 45, modulus_margin at least 0.5, sensitivity_peak_db at most 6
     """
-    from loopshape.io.profiles import OWN, read_profiles
+    from loopshape.io.requirements import OWN, read_profiles
 
     return read_profiles(OWN if file is None else Path(file))
 
@@ -107,7 +107,7 @@ def profiles(file: str | Path | None = None) -> dict[str, Profile]:
 def write_profiles(path: str | Path) -> Path:
     """Write the file of profiles that comes along, to be changed; gives the path. Refuses one that is there."""
     from loopshape.io.files import make_folder, write_text_whole
-    from loopshape.io.profiles import OWN
+    from loopshape.io.requirements import OWN
 
     out = Path(path)
     if out.exists():

@@ -59,10 +59,10 @@ def draw_run(
 ) -> list[str]:
     """The figures of a run: FRFs with fits, parameter maps, and the loops of a controller file under requirements."""
     from loopshape.data.requirement.requirements import Requirements
+    from loopshape.io.requirements import read_requirements
     from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_frfs
-    from loopshape.io.write.requirements import read_requirements
     from loopshape.loop.verdict import check_loops
 
     folder = folder or figures_of(run)

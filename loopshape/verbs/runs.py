@@ -19,13 +19,12 @@ from loopshape.data.result.verdict_words import page_text
 from loopshape.design.tune import Tuning
 from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.folder_lock import locked
-from loopshape.io.profiles import joined, profile_of
+from loopshape.io.requirements import joined, profile_of, read_required, read_requirements
 from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import write_fits
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs, read_several_loops
 from loopshape.io.write.predictions import read_predictions
-from loopshape.io.write.requirements import read_required, read_requirements
 from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.predict.remeasured import Remeasured
 from loopshape.verbs import chain

@@ -97,10 +97,10 @@ def write_page(path: Path, loops: Sequence[ShapingSession], title: str) -> int:
 
 def several_run(run: Path, require: Path | None, controller: Path | None) -> tuple[SeveralLoops, list[ShapingSession]]:
     """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
+    from loopshape.io.requirements import read_required
     from loopshape.io.write.check_files import recorded_under
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_several_loops
-    from loopshape.io.write.requirements import read_required
 
     if controller is None:
         what = "loops are closed by their controllers"
@@ -112,10 +112,10 @@ def several_run(run: Path, require: Path | None, controller: Path | None) -> tup
 
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[ShapingSession]:
     """Loops of a requirements file, else those of a controller file, else all that have an FRF."""
+    from loopshape.io.requirements import read_requirements
     from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_frfs
-    from loopshape.io.write.requirements import read_requirements
 
     frfs, fits = read_frfs(run), fits_of(run)
     required = {} if require is None else {one.loop: one for one in read_requirements(require)}

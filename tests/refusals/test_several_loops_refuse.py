@@ -85,10 +85,10 @@ def test_values_that_make_no_sense(fields, words):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("gain_margin_db = 6.0", "several: unknown key; received 'gain_margin_db'; known are disk_margin"),
-        ('disk_margin = "much"', "disk_margin must be a finite number"),
-        ("integrators = 1.5", "several: integrators of a SeveralRequirements must be a whole number"),
-        ("band_hz = 3.0", "band_hz must be a list of numbers"),
+        ("gain_margin_db = 6.0", "several: unknown key; received 'gain_margin_db'; .*known are modulus_margin"),
+        ('disk_margin = "much"', "several: disk_margin must be a finite number; received 'much'"),
+        ("integrators = 1.5", "several: integrators must be a whole number; received 1.5"),
+        ("band_hz = 3.0", "band_hz must be a pair of numbers; received 3.0"),
         ("band_hz = [3.0, 1.0]", "band_hz is two rising frequencies"),
     ],
 )

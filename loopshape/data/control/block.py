@@ -200,11 +200,11 @@ def block_kind(table: Mapping[str, Any]) -> str:
     """Internal kind of a block written as in a run's TOML (`low_pass` carries its order)."""
     kind = table.get("kind")
     name = f"low_pass_{table.get('order', '?')}" if kind == "low_pass" else kind
-    if name not in BLOCK_KINDS or (kind != "low_pass" and "order" in table):
+    if not isinstance(name, str) or name not in BLOCK_KINDS or (kind != "low_pass" and "order" in table):
         raise WrongUseError(
             "a controller block is not known",
             f"{dict(table)!r}",
-            f"{meant(kind, ('low_pass', *BLOCK_KINDS))}use kind gain, lead_lag, notch, pi, pid, section, or"
+            f"{meant(kind, ('low_pass', *BLOCK_KINDS))}use kind, a text: gain, lead_lag, notch, pi, pid, section, or"
             " low_pass with order 1 or 2",
         )
     return str(name)
@@ -372,14 +372,13 @@ class BlockTemplate:
 
 def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
     if not isinstance(value, Mapping):
-        return float(value)
+        return _finite(kind, name, value)
     if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
         raise WrongUseError(
-            f"{name} of {an(kind)} block is a number or a table with min, max and perhaps start",
-            f"{dict(value)!r}",
+            f"{name} of {an(kind)} block is a number or a table with min, max, perhaps start", f"{dict(value)!r}"
         )
-    low, high, start = float(value["min"]), float(value["max"]), value.get("start")
+    ends = {key: _finite(kind, name, one) for key, one in value.items()}
+    low, high, start = ends["min"], ends["max"], ends.get("start")
     if not 0.0 < low < high < np.inf or (start is not None and not low <= start <= high):
         raise WrongUseError(f"{name} of {an(kind)} block needs 0 < min < max, start between them", f"{dict(value)!r}")
-    refuse_too_large(kind, name, high)
-    return Free(low, high, None if start is None else float(start))
+    return Free(low, high, start)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -143,6 +143,9 @@ class Controller:
     computation_delay_s: float = 0.0
     added_hold: bool = False
     precision: str = "double"
+    READ_AS: ClassVar = {"loop": "name", "blocks": "controller"}
+    ELSEWHERE: ClassVar = ("rate_hz",)
+    WRITTEN: ClassVar = ("discretisation",)
 
     def __post_init__(self) -> None:
         pass_fields(self, "loop", "blocks")

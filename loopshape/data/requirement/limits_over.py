@@ -76,17 +76,6 @@ class Mask:
         none = -np.inf if self.sense == "at_least" else np.inf
         return np.interp(np.log(np.asarray(f, dtype=float)), np.log(hz), level, none, none)
 
-    @classmethod
-    def from_table(cls, table: Any) -> Mask:
-        """A mask from TOML: { response = "S", points = [[0.1, -40.0], [10.0, 0.0]] }, perhaps with a sense."""
-        known = {"response", "points", "sense"}
-        if not isinstance(table, Mapping) or not {"response", "points"} <= set(table) <= known:
-            raise WrongUseError("a mask has response, points and perhaps sense", f"{table!r}")
-        points = table["points"]
-        if not isinstance(points, Sequence) or isinstance(points, str):
-            raise WrongUseError("the points of a mask are a list of pairs (Hz, dB)", f"{points!r}")
-        return cls(table["response"], tuple(points), table.get("sense", "at_most"))
-
 
 def weights(masks: Sequence[Mask], f: Array) -> Array:
     """What squared magnitudes are multiplied with to be 1 at the sharpest limit, a row for each of `MASKED` (6, nf).
@@ -135,14 +124,13 @@ class AtPoints:
         return all(name in point and low <= point[name] <= high for name, (low, high) in self.where.items())
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> AtPoints:
-        """From TOML: { where = { x_m = [0.0, 0.5] }, phase_margin_deg = 40.0 }, perhaps with masks."""
+    def unfolded(cls, table: Mapping[str, Any]) -> dict[str, Any]:
+        """{ where = { x_m = [0.0, 0.5] }, phase_margin_deg = 40.0 }, perhaps with masks: the other keys are limits."""
         given = dict(table)
-        where, masks = given.pop("where", {}), given.pop("masks", ())
-        if not isinstance(where, Mapping):
-            raise WrongUseError("where of an operating point is a table of ranges", f"{where!r}")
-        ranges = {k: tuple(v) if isinstance(v, (list, tuple)) else (v, v) for k, v in where.items()}
-        return cls(ranges, given, tuple(Mask.from_table(one) for one in masks))
+        made = {key: given.pop(key) for key in ("where", "masks") if key in given}
+        if isinstance(where := made.get("where", {}), Mapping):
+            made["where"] = {key: [one, one] if _is_finite(one) else one for key, one in where.items()}
+        return made | {"limits": given}
 
 
 def _is_finite(value: Any) -> bool:

@@ -20,8 +20,8 @@ class Zone:
     """A range of peak |S| up to `up_to_db`, which the standard names; of the last one inf."""
 
     name: str
-    up_to_db: float
     means: str
+    up_to_db: float = inf
 
 
 @dataclass(frozen=True)
@@ -45,6 +45,8 @@ class Profile:
     zones: tuple[Zone, ...] = field(default=())
 
     def __post_init__(self) -> None:
+        if strange := sorted(set(self.unread) - set(self.limits)):
+            raise WrongUseError("unread names what is no limit", ", ".join(strange), "name limits of it")
         if unknown := sorted(set(self.limits) - {limit.name for limit in LIMITS}):
             raise WrongUseError(
                 f"profile {self.name!r} limits quantities that are not known", ", ".join(unknown),

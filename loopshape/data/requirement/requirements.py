@@ -6,13 +6,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError, meant
+from loopshape.core.errors import WrongUseError
 from loopshape.core.gate import pass_fields
 from loopshape.core.units import db, from_db
 from loopshape.data.control.block import BlockTemplate
@@ -240,6 +240,8 @@ class Requirements:
     unstable_poles: int | None = None
     objective: Objective = Objective()  # noqa: RUF009 (frozen)
     limits: ClassVar[tuple[Limit, ...]] = LIMITS
+    READ_AS: ClassVar = {"loop": "name"}
+    ALSO_READ: ClassVar[tuple[str, ...]] = ("disturbance_below_hz",)
     _least_integrators: ClassVar[int] = -2
 
     @property
@@ -344,32 +346,25 @@ class Requirements:
         return [(limit, from_hz) for limit, from_hz in asked if limit is not None]
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Self:
-        """Requirements of one `[[loop]]` of a requirements file; an unknown key is refused."""
-        known = {f.name for f in fields(cls)} | {"disturbance_below_hz"}
+    def unfolded(cls, table: Mapping[str, Any]) -> dict[str, Any]:
+        """A `[[loop]]` with its objective as a table of weights."""
         given = dict(table)
-        if "name" not in given:
-            raise WrongUseError("a [[loop]] of a requirements file needs a name", f"{given!r}")
-        given["loop"] = given.pop("name")
-        if unknown := set(given) - known:
-            raise WrongUseError(
-                f"unknown key in the requirements of loop {given['loop']!r}",
-                ", ".join(sorted(unknown)),
-                f"{meant(min(unknown), known)}known are name, {', '.join(sorted(known - {'loop'}))}",
-            )
-        structure = tuple(BlockTemplate.from_table(t) for t in given.pop("structure", ()))
-        band = given.pop("band_hz", None)
-        masks = tuple(Mask.from_table(t) for t in given.pop("masks", ()))
-        weights = tuple(Weight.from_table(t) for t in given.pop("weights", ()))
-        at = tuple(AtPoints.from_table(t) for t in given.pop("at", ()))
-        objective = Objective.from_toml(given.pop("objective", "bandwidth"), given.pop("disturbance_below_hz", None))
-        for name, value in given.items():
-            if name != "loop" and (isinstance(value, bool) or not isinstance(value, (int, float))):
-                bare = value.split()[0] if isinstance(value, str) and value.split() else ""
-                cure = f"leave the unit out: {name} = {bare}" if bare[-1:].isdigit() else ""
-                raise WrongUseError(f"{name} of loop {given['loop']!r} must be a number", f"{value!r}", cure)
-        band = tuple(band) if isinstance(band, list) else band
-        return cls(**given, structure=structure, band_hz=band, objective=objective, masks=masks, weights=weights, at=at)
+        below = {key: given.pop(key) for key in cls.ALSO_READ if key in given}
+        if below or "objective" in given:
+            given["objective"] = Objective.unfolded(given.get("objective", "bandwidth"), below)
+        return given
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Self:
+        """Requirements of a table with `name`, whose values are of the kinds of the fields."""
+        given = cls.unfolded(table)
+        for key, kind in {"structure": BlockTemplate, "weights": Weight}.items():
+            given[key] = tuple(map(kind.from_table, given.get(key, ())))  # type: ignore[attr-defined]
+        given["at"] = tuple(map(AtPoints.unfolded, given.get("at", ())))
+        for one in (given, *given["at"]):
+            one["masks"] = tuple(Mask(**mask) for mask in one.get("masks", ()))
+        given |= {"at": tuple(AtPoints(**x) for x in given["at"]), "objective": Objective(**given.get("objective", {}))}
+        return cls(loop=given.pop("name"), **given)
 
 
 @dataclass(frozen=True, repr=False)
@@ -382,19 +377,13 @@ class SeveralRequirements(Requirements):
 
     input_output_disk_margin: float | None = None
     limits: ClassVar[tuple[Limit, ...]] = SEVERAL_LIMITS
+    READS: ClassVar = (*(limit.name for limit in SEVERAL_LIMITS), "integrators", "unstable_poles", "band_hz")
+    ALSO_READ: ClassVar[tuple[str, ...]] = ()
     _least_integrators: ClassVar[int] = 0
 
     @property
     def _whose(self) -> str:
         return "several loops"
-
-    @classmethod
-    def from_table(cls, table: Mapping[str, Any]) -> Self:
-        """Requirements of the table `[several]` of a requirements file; an unknown key is refused."""
-        known = [*(limit.name for limit in cls.limits), "integrators", "unstable_poles", "band_hz"]
-        if unknown := [key for key in table if key not in known]:
-            raise WrongUseError("unknown key", ", ".join(map(repr, unknown)), f"known are {', '.join(known)}")
-        return super().from_table({"name": "", **table})
 
 
 def _rising_pair(band: Any) -> bool:

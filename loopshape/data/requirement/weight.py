@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -192,18 +192,12 @@ class Objective:
             raise WrongUseError("disturbance_below_hz must be positive and finite", f"{below!r}")
 
     @classmethod
-    def from_toml(cls, given: Any, below_hz: Any = None) -> Objective:
-        """Objective from its one term, "disturbance" with `disturbance_below_hz` beside it, or a table of weights."""
-        if isinstance(given, Mapping):
-            if unknown := set(given) - {f.name for f in fields(cls)}:
-                raise WrongUseError(
-                    f"an objective has the keys {', '.join(f.name for f in fields(cls))}",
-                    ", ".join(sorted(unknown)),
-                )
-            below = {} if below_hz is None else {"disturbance_below_hz": below_hz}
-            return cls(**({"bandwidth": 0.0} | below | dict(given)))
-        refuse_unknown("an objective is a word, or a table of weights", given, TERMS, "use one of")
-        return cls(**({"bandwidth": 0.0, "disturbance_below_hz": below_hz} | {given: 1.0}))
+    def unfolded(cls, given: Any, below: Mapping[str, Any] | None = None) -> Any:
+        """A table of weights from one term, or from a table that leaves out those of 0; `below` stands beside it."""
+        if not isinstance(given, Mapping):
+            refuse_unknown("an objective is a word, or a table of weights", given, TERMS, "use one of")
+            given = {given: 1.0}
+        return {"bandwidth": 0.0} | dict(below or {}) | dict(given)
 
 
 def is_number(value: Any) -> bool:

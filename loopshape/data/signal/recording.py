@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, ClassVar
 
 import numpy as np
 
 from loopshape.core import stretches
-from loopshape.core.errors import BadSignalError
+from loopshape.core.errors import BadSignalError, WrongUseError
+from loopshape.core.gate import FromZero, Positive
 from loopshape.core.stretches import ByStretches, LongSignal, Signal
 from loopshape.core.units import Array
 from loopshape.data.signal.channel import sum_terms
@@ -30,13 +32,26 @@ class RecordingInfo(ExperimentSettings):
     excites: str | None = None
     closed_loop: bool = True
     operating_point: Mapping[str, float] = field(default_factory=dict)
-    period_s: float | None = None
-    periodic_from_s: float | None = None
+    period_s: Positive | None = None
+    periodic_from_s: FromZero | None = None
     ended_early: str | None = None
     excites_also: tuple[str, ...] = ()
+    WRITTEN: ClassVar = ("role", "closed_loop")
 
     def __post_init__(self) -> None:
         refuse_unknown_words(f"recording {self.file}", self.kind, self.injection, self.role)
+
+    @classmethod
+    def unfolded(cls, table: Mapping[str, Any]) -> dict[str, Any]:
+        """A `[[recording]]` that says whether the loops were closed; refuses one at odds with its injection."""
+        injection = table.get("injection")
+        closed_loop = table.get("closed_loop", injection != "control")
+        if closed_loop is (injection == "control"):
+            raise WrongUseError(
+                'closed_loop = false goes with injection = "control", and with no other',
+                f"closed_loop = {str(closed_loop).lower()} and injection = {injection!r}", "say what was done",
+            )  # fmt: skip
+        return {**table, "closed_loop": closed_loop}
 
     @classmethod
     def of(cls, e: Experiment, ended_early: str | None = None) -> RecordingInfo:

@@ -19,12 +19,12 @@ from loopshape.data.result.run_report import CheckedLoop, Envelope, FittedModel,
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.fit import modes
+from loopshape.io.requirements import read_requirements
 from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run
 from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
 from loopshape.io.write.check_files import fits_of, read_diagram
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
-from loopshape.io.write.requirements import read_requirements
 from loopshape.loop.verdict import check_loops
 
 FIGURES_BYTES = 700_000  # of the pictures that a report carries, together

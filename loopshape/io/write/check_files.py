@@ -21,11 +21,11 @@ from loopshape.data.result.equivalent import Diagram, Equivalent
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
+from loopshape.io.requirements import read_required
 from loopshape.io.run.run_folder import RUN_TOML, read_run
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import read_fits
 from loopshape.io.write.frfs import read_frfs, read_several_loops
-from loopshape.io.write.requirements import read_required
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
 from loopshape.loop.matrix.several import loop_matrices, verdict_on_matrices

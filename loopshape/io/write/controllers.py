@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError
+from loopshape.core.gate import Positive
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles
+from loopshape.io.config_table import read_file, refuse_doubles
 from loopshape.io.files import write_toml
-from loopshape.io.run.run_tables import (
-    CONTROLLER_KEYS,
-    SCHEDULE_KEYS,
-    controller_table,
-    read_controller,
-    read_schedule,
-    schedule_table,
-)
+from loopshape.io.run.run_tables import Schedule, controller_table, schedule_table
+from loopshape.io.schema import beside
 
 FORMAT = "loopshape-controllers/1"
 
@@ -48,29 +44,30 @@ def read_gain_scheduled(path: Path) -> tuple[GainScheduled, ...]:
     return found
 
 
+@dataclass(frozen=True)
+class ControllersFile:
+    """One controller or schedule for each loop, all of one rate."""
+
+    rate_hz: Positive
+    loop: tuple[Controller | Schedule, ...]
+    notes: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def unfolded(cls, table: Mapping[str, Any]) -> dict[str, Any]:
+        """The file with its rate in each of its tables."""
+        loops = table.get("loop")
+        if not isinstance(loops, list):
+            return dict(table)
+        return {**table, "loop": [beside(one, rate_hz=table.get("rate_hz")) for one in loops]}
+
+
 def read_loop_controllers(path: Path) -> tuple[Controller | GainScheduled, ...]:
     """What a controller file holds, one controller or schedule for each loop."""
-    words = read_words(path, FORMAT)
-    words.only("format", "rate_hz", "notes", "loop")
-    words.need("rate_hz", "loop")
-    rate_hz = words.positive("rate_hz")
-    controllers = tuple(_read(table, rate_hz) for table in words.tables("loop"))
-    if not controllers:
+    found: Any = read_file(path, ControllersFile, FORMAT).loop
+    if not found:
         raise WrongUseError(f"{path.name} holds no controller", "an empty list", "write a [[loop]]")
-    if not all(controller.loop for controller in controllers):
-        raise WrongUseError("a controller in a file has the name of its loop", "''", 'give it: loop = "..."')
-    refuse_doubles((controller.loop for controller in controllers), path.name, "controllers")
-    return controllers
-
-
-def _read(words: ConfigTable, rate_hz: float) -> Controller | GainScheduled:
-    if "nodes" in words.table:
-        words.only("name", *CONTROLLER_KEYS[:-1], *SCHEDULE_KEYS)
-        words.need("name")
-        return read_schedule(words, rate_hz)
-    words.only("name", *CONTROLLER_KEYS)
-    words.need("name", "controller")
-    return read_controller(words, rate_hz)
+    refuse_doubles((controller.loop for controller in found), path.name, "controllers")
+    return tuple(found)
 
 
 def write_controllers(

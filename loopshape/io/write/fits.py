@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.response.model import Estimate, Fit, TransferFunction
+from loopshape.data.response.model import Fit
 from loopshape.io.files import read_json, reading, write_json
+from loopshape.io.schema import read
 
 FORMAT = "loopshape-fits/1"
 FILE = "fits.json"
@@ -37,34 +35,5 @@ def read_fits(run_folder: Path) -> tuple[Fit, ...]:
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", "another file", "fit the FRFs again")
     with reading(path, "fits", WrongUseError):
-        return tuple(_fit(table) for table in data["fits"])
-
-
-def _fit(table: dict[str, Any]) -> Fit:
-    if unknown := set(table) - {f.name for f in fields(Fit)}:
-        raise ValueError(f"unknown keys {', '.join(sorted(unknown))}")
-    model, (low, high) = table["model"], table["band_hz"]
-    n = len(table["parameters"])
-    return Fit(
-        structure=str(table["structure"]),
-        model=TransferFunction(np.array(model["num"]), np.array(model["den"]), float(model["delay_s"])),
-        parameters=tuple(
-            Estimate(str(p["name"]), float(p["value"]), str(p["unit"]), float(p["std"])) for p in table["parameters"]
-        ),
-        covariance=np.array(table["covariance"], dtype=float).reshape(n, n),
-        outcome=str(table["outcome"]),
-        chi2_per_dof=float(table["chi2_per_dof"]),
-        p_value=float(table["p_value"]),
-        runs_p_value=float(table["runs_p_value"]),
-        misfit_db=float(table["misfit_db"]),
-        band_hz=(float(low), float(high)),
-        lines=int(table["lines"]),
-        recording=str(table["recording"]),
-        loop=str(table["loop"]),
-        operating_point={str(k): float(v) for k, v in table["operating_point"].items()},
-        delay_free=bool(table["delay_free"]),
-        starts=int(table.get("starts", 1)),
-        starts_agreeing=int(table.get("starts_agreeing", 1)),
-        frf_digest=str(table.get("frf_digest", "")),
-        rig_parameters={str(k): float(v) for k, v in table.get("rig_parameters", {}).items()},
-    )
+        found = [read(Fit, table, path.name, own=True) for table in data["fits"]]
+        return tuple(replace(x, covariance=x.covariance.reshape([len(x.parameters)] * 2)) for x in found)

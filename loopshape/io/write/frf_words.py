@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from copy import copy
+from dataclasses import fields, make_dataclass
+from functools import cache
+from typing import Any, get_type_hints
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.json_ready import json_ready
-from loopshape.data.control.controller import Controller
-from loopshape.data.response.frf import FRF, Hold
-from loopshape.io.config_table import ConfigTable
+from loopshape.data.response.frf import FRF
 from loopshape.io.files import short
-from loopshape.io.run.run_tables import controller_table, read_controller
+from loopshape.io.schema import read, table_of
 
 #: names before version 2 of the formats, and those of now
 RENAMED = {"trusted": "valid", "held_by": "recorded_under"}
@@ -26,26 +27,7 @@ PERHAPS = (
     "multiple_coherence",
     "partial_coherence",
 )
-_WORDS = (
-    "inputs",
-    "outputs",
-    "method",
-    "recording",
-    "recordings",
-    "loop",
-    "rate_hz",
-    "operating_point",
-    "power_per",
-    "line_overlap",
-    "variance_freedom",
-    "variance_pooled",
-    "averages",
-    "parameters",
-    "notes",
-    "open_loop",
-    "hold",
-    "method_numbers",
-)
+_WORDS = tuple(one.name for one in fields(FRF) if one.name not in (*ARRAYS, *PERHAPS, "recorded_under"))
 
 
 def frf_arrays(frf: FRF) -> dict[str, Any]:
@@ -55,11 +37,7 @@ def frf_arrays(frf: FRF) -> dict[str, Any]:
 
 def frf_header(frf: FRF) -> dict[str, Any]:
     """Everything of an FRF but its arrays, ready for JSON; `frf_words` reads it back."""
-    held = (
-        None
-        if frf.recorded_under is None
-        else controller_table(frf.recorded_under) | {"rate_hz": frf.recorded_under.rate_hz}
-    )
+    held = None if frf.recorded_under is None else table_of(frf.recorded_under) | {"name": frf.loop}
     made: dict[str, Any] = json_ready({"recorded_under": held} | {word: getattr(frf, word) for word in _WORDS})
     return made
 
@@ -74,26 +52,6 @@ def upgraded(named: Mapping[str, Any]) -> dict[str, Any]:
     return {RENAMED.get(name, name): value for name, value in named.items()}
 
 
-def _recorded_under(header: Mapping[str, Any], where: str) -> Controller | None:
-    held = header.get("recorded_under")
-    if not held:
-        return None
-    table = {key: value for key, value in held.items() if key != "rate_hz"} | {"name": header["loop"]}
-    return read_controller(ConfigTable(table, where), float(held["rate_hz"]))
-
-
-def _flag(value: object) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"open_loop is true or false, not {value!r}")
-    return value
-
-
-def _hold(header: Mapping[str, Any]) -> Hold:
-    """Files written before 2026-11-23 say it in the method alone."""
-    before = Hold.INCLUDED if "zero-order hold" in str(header["method"]) else Hold.UNKNOWN
-    return Hold(header.get("hold", before))
-
-
 def _refuse_half_characters(header: Mapping[str, Any], where: str) -> None:
     """JSON can spell half of a surrogate pair, which no file and no screen takes."""
     try:
@@ -106,27 +64,19 @@ def _refuse_half_characters(header: Mapping[str, Any], where: str) -> None:
 
 
 def frf_words(header: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Keywords of `FRF` from its header; words that are missing or of a wrong kind raise what Python raises."""
-    header = upgraded(header)
+    """Keywords of `FRF` from its header; refuses words that are missing or of a wrong kind (`WrongUseError`)."""
     _refuse_half_characters(header, where)
-    return {
-        "recorded_under": _recorded_under(header, where),
-        "inputs": tuple(map(str, header["inputs"])),
-        "outputs": tuple(map(str, header["outputs"])),
-        "method": str(header["method"]),
-        "recording": str(header["recording"]),
-        "recordings": tuple(map(str, header.get("recordings", ()))),
-        "loop": str(header["loop"]),
-        "rate_hz": float(header["rate_hz"]),
-        "operating_point": {str(k): float(v) for k, v in header["operating_point"].items()},
-        "power_per": str(header.get("power_per", "Hz")),
-        "line_overlap": float(header.get("line_overlap", 1.0)),
-        "variance_freedom": float(header.get("variance_freedom", "inf")),
-        "variance_pooled": int(header.get("variance_pooled", 1)),
-        "averages": float(header.get("averages", "nan")),
-        "parameters": {str(k): float(v) for k, v in header.get("parameters", {}).items()},
-        "notes": tuple(map(str, header["notes"])),
-        "open_loop": _flag(header.get("open_loop", False)),
-        "hold": _hold(header),
-        "method_numbers": {str(k): float(v) for k, v in header.get("method_numbers", {}).items()},
-    }
+    named = upgraded(header)
+    words = {word: named[word] for word in _WORDS if word in named}
+    if held := named.get("recorded_under"):
+        words["recorded_under"] = {**held, "name": named["loop"]}
+    if "hold" not in words and "zero-order hold" in str(named["method"]):  # as the method alone said until 2026-11-23
+        words["hold"] = "included"
+    return dict(vars(read(_header(), words, where, own=True)))
+
+
+@cache
+def _header() -> type:
+    """The fields of `FRF` that are no arrays."""
+    hints, own = get_type_hints(FRF), [copy(one) for one in fields(FRF) if one.name in (*_WORDS, "recorded_under")]
+    return make_dataclass("Header", [(one.name, hints[one.name], one) for one in own])

@@ -13,8 +13,9 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.json_ready import json_ready
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import INDICATORS, Indicators, Prediction, Step
+from loopshape.data.result.prediction import Prediction, Step
 from loopshape.io.files import make_folder, reading, write_whole
+from loopshape.io.schema import read
 from loopshape.io.write.frf_words import (
     ARRAYS,
     PERHAPS,
@@ -83,14 +84,8 @@ def _read(words: Mapping[str, Any], arrays: Mapping[str, Any], k: int, where: st
     _refuse_sizes(sensitivity)
     step = None
     if words["step"] is not None:
-        given = words["step"]
-        step = Step(
-            **{name: arrays[f"{k}.step.{name}"] for name in _STEP},
-            indicators=_indicators(given["indicators"]),
-            source=str(given["source"]),
-            unsettled=float(given["unsettled"]),
-            notes=tuple(map(str, given["notes"])),
-        )
+        own = {name: arrays[f"{k}.step.{name}"] for name in _STEP}
+        step = read(Step, {**words["step"], **own}, where, own=True)
         if not all(np.isfinite(getattr(step, name)).all() for name in _STEP):
             raise WrongUseError("a predicted step is of finite numbers", "NaN or infinity", "predict again")
     made = Prediction(sensitivity, ClosedLoop(words["stability"]), step, tuple(map(str, words["notes"])))
@@ -106,10 +101,3 @@ def _refuse_sizes(sensitivity: FRF) -> None:
             f"{size.min():g} .. {size.max():g}, standard deviation to {std.max():g}",
             "predict again",
         )
-
-
-def _indicators(table: Mapping[str, Any]) -> Indicators:
-    intervals = {str(name): (float(low), float(high)) for name, (low, high) in table["intervals"].items()}
-    return Indicators(
-        **{name: float(table[name]) for name in INDICATORS}, outcome=str(table["outcome"]), intervals=intervals
-    )

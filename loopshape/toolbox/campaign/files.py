@@ -23,6 +23,7 @@ from loopshape.io.config_table import read_words
 from loopshape.io.files import PART, inside, reading, short, write_text_whole, write_whole
 from loopshape.io.folder_lock import alone
 from loopshape.io.run.replacing import INDEX
+from loopshape.io.schema import value_of
 from loopshape.toolbox.campaign.machines import Campaign, Machine, Part
 from loopshape.toolbox.rig.files.study import read_study
 
@@ -42,10 +43,10 @@ def read_campaign(path: Path, asked: Asked) -> tuple[Campaign, Path]:
     study = read_study(file)
     if study.rig != "simulated":
         raise WrongUseError("a campaign is simulated", f"rig = {study.rig!r}", "measure a target by `measure`")
-    sets = words.list_of_texts_or_empty("effects") or ("",)
+    sets = value_of(tuple[str, ...], words.table.get("effects", [""]), "effects", words.where, own=True) or ("",)
     return Campaign(
         study,
-        words.list_of_numbers("amplitudes") if "amplitudes" in words.table else (1.0,),
+        words.value("amplitudes", tuple[float, ...], (1.0,)),
         tuple(asked(study.plant, _names(one)) for one in sets),
         words.whole("draws", 0),
         words.whole("seed", 0),

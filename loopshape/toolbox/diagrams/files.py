@@ -8,9 +8,11 @@ from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra.operations import channels
+from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.io.config_table import ConfigTable, read_words
-from loopshape.io.run.run_tables import CONTROLLER_KEYS, read_controller
+from loopshape.io.run.run_tables import CONTROLLER_KEYS
+from loopshape.io.schema import read
 from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
 
@@ -45,7 +47,8 @@ def _part(words: ConfigTable, rate_hz: float, run: Path) -> Part:
     if "plant" in words.table:
         what = _plants(words, run)
     elif "controller" in words.table:
-        what = read_controller(words, rate_hz)
+        own = {key: value for key, value in words.table.items() if key in ("name", *CONTROLLER_KEYS)}
+        what = read(Controller, own, words.where, rate_hz=rate_hz)
     poles = [words.whole(key, 0) if key in words.table else None for key in ("integrators", "unstable_poles")]
     return Part(words.text("name"), _signals(words, "in"), _signals(words, "out"), what, poles[0], poles[1])
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import inf
+from typing import ClassVar
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.gate import Count
 from loopshape.core.units import SUFFIXES, deg
 from loopshape.data.signal.channel import Channel
 
@@ -58,12 +60,13 @@ class TargetSettings:
     limits: Mapping[str, Limit]
     commands: Mapping[str, Mapping[str, float]]
     port: str | None = None
-    baud: int = 921_600
+    baud: Count = 921_600
     on_limit: str = "vent"
-    watchdog_ms: int = 250
+    watchdog_ms: Count = 250
     soft_start_s: float = 2.0
     settle_s: float = 2.0
     place: bool = True
+    ELSEWHERE: ClassVar = ("limits",)
 
     def __post_init__(self) -> None:
         refuse_unknown("on_limit is not known", self.on_limit, ON_LIMIT)

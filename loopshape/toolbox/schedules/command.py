@@ -33,10 +33,10 @@ def schedule_run(
     run: Path, require: Path, controller: Path, output: Output, *, seed: int = 0, starts: int = 16, figures: bool = True
 ) -> list[Schedule]:
     """Compare each loop of a requirements file that names a structure, draw and report."""
+    from loopshape.io.requirements import read_requirements
     from loopshape.io.write.check_files import controller_of, fits_of
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_frfs
-    from loopshape.io.write.requirements import read_requirements
     from loopshape.toolbox.schedules.schedule import schedule as schedule_loop
 
     controllers, frfs, fits = read_controllers(controller), read_frfs(run), fits_of(run)

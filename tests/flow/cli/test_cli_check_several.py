@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import loopshape as ls
 from loopshape.cli.verify.check import check as check_command
-from loopshape.io.profiles import OWN
+from loopshape.io.requirements import OWN
 from loopshape.loop.matrix.several import check_several as check
 
 F = np.arange(0.1, 20.0, 0.1)

@@ -271,3 +271,9 @@ def test_every_recording_is_in_one_part_and_parts_are_of_one_size():
             parts = [Part(k, of).recordings(count) for k in range(1, of + 1)]
             assert [number for part in parts for number in part] == list(range(count))
             assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+def test_a_campaign_of_version_1_opens():
+    kept = Path(__file__).parents[2] / "helpers/kept/campaign-1.toml"
+    found, _ = read_campaign(kept, lambda plant, names: dict.fromkeys(names, 1.0))
+    assert (found.amplitudes, found.effects, found.draws) == ((0.5, 1.0), ({}, {"coulomb_friction=0.5": 1.0}), 2)

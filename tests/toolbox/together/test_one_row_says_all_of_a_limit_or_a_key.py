@@ -14,7 +14,7 @@ import loopshape as ls
 from loopshape.data.signal.experiment import ExperimentSettings
 from loopshape.design.structure import NEAR
 from loopshape.io.config_table import ConfigTable
-from loopshape.io.run.run_tables import INFO, TOLD, read_recording, recording_table
+from loopshape.io.run.run_tables import read_recording, recording_table
 from loopshape.loop.points import CLOSENESS
 from loopshape.toolbox.limits.bound_nodes import COUNTED, counted
 from loopshape.toolbox.rig.files.study import _EXPERIMENT_KEYS
@@ -74,14 +74,8 @@ def test_ranks_of_closeness_are_one_after_another_and_what_keeps_off_is_close():
     assert set(NEAR) <= set(CLOSENESS)
 
 
-def test_a_recordings_keys_are_the_fields_of_its_noun():
-    assert [key.name for key in INFO] == list(dict.fromkeys(key.name for key in INFO))
-    assert {key.name for key in INFO} == {f.name for f in fields(RecordingInfo)} - {"file"}
-
-
 def test_what_an_experiment_tells_is_said_in_the_same_words_by_study_and_run():
     told = {f.name for f in fields(ExperimentSettings)}
-    assert {key.name for key in TOLD} == told
     assert told <= set(_EXPERIMENT_KEYS)
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import loopshape as ls
 from loopshape.data.requirement.profile import zone_shares
-from loopshape.io.profiles import OWN, profile_of, read_profiles
+from loopshape.io.requirements import OWN, profile_of, read_profiles
 from loopshape.view.verdict.tables import zone_sentence
 
 DOCS = Path(__file__).parents[3] / "docs" / "profiles.md"

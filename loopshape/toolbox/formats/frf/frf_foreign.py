@@ -144,7 +144,7 @@ def _words(found: ForeignFRF, stated: Stated) -> dict[str, Any]:
             header[name] = getattr(stated, name)
     try:
         words = frf_words(header | {"notes": notes}, found.where)
-    except (TypeError, ValueError, LookupError, AttributeError) as error:
+    except (WrongUseError, TypeError, ValueError, LookupError, AttributeError) as error:
         raise UnreadableInputError("its words cannot be read", short(error), "write it again") from None
     if not (words["rate_hz"] >= 0.0 and words["variance_pooled"] >= 1):
         raise UnreadableInputError("its words cannot be read", f"rate {words['rate_hz']}", "write it again")

@@ -55,7 +55,7 @@ from loopshape.data.signal.recording import RecordingInfo
 from loopshape.io.config_table import ConfigTable, read_words, said_in
 from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import plain_name, short
-from loopshape.io.run.run_tables import INFO_KEYS, read_info, read_loops, read_outputs
+from loopshape.io.run.run_tables import read_info, read_loops, read_outputs
 from loopshape.io.run.tables import TIME
 from loopshape.toolbox.formats.tables.made_columns import MadeRule, check_made, made_of_loops, read_made
 from loopshape.toolbox.formats.tables.sources import Place
@@ -175,7 +175,7 @@ def _draft(words: ConfigTable, accepted: bool) -> tuple[str, ...]:
 
 
 def _resample(words: ConfigTable) -> bool:
-    resample = words.truth("resample", False)
+    resample = words.value("resample", bool, False)
     if resample and "time" not in words.table:
         raise WrongUseError(
             f"{words.where}: resample needs the stamps",
@@ -198,7 +198,7 @@ def _read_csv(words: ConfigTable) -> CsvShape:
     decimal = words.one_of("decimal", (".", ","), ".")
     if decimal == separator:
         raise WrongUseError(f"{words.where}: separator and decimal are the same", repr(decimal), "say which is which")
-    header, encoding = words.truth("header", True), words.one_of("encoding", ENCODINGS, ENCODINGS[0])
+    header, encoding = words.value("header", bool, True), words.one_of("encoding", ENCODINGS, ENCODINGS[0])
     return CsvShape(separator, header, words.whole("skip_rows", 0), decimal, words.whole("unit_rows", 0), encoding)
 
 
@@ -270,19 +270,19 @@ def _rows(words: ConfigTable) -> tuple[int, int | None]:
 
 def _episodes(words: ConfigTable) -> tuple[int, ...]:
     """Numbers of the episodes that are taken; empty for all."""
-    numbers = words.list_of_numbers("episodes") if "episodes" in words.table else ()
+    numbers = words.value("episodes", tuple[float, ...], ())
     if len(set(numbers)) != len(numbers) or not all(x >= 0 and x.is_integer() for x in numbers):
         raise WrongUseError(f"{words.where}: episodes are whole numbers from 0 on, each once", short(str(numbers)))
     return tuple(int(x) for x in numbers)
 
 
 def _read_info(words: ConfigTable, default_name: str, loops: tuple[LoopSetup, ...]) -> RecordingInfo:
-    words.only("name", "from_row", "to_row", "episodes", *INFO_KEYS)
     with said_in(words.where):
         name = plain_name(words.text("name", default_name), "the name of a recording")
     if "." in name:
         raise WrongUseError(f"{words.where}: the name of a recording has no dot", repr(name), "write another name")
-    return read_info(words, f"{name}.parquet", loops)
+    table = {key: value for key, value in words.table.items() if key not in ("name", "from_row", "to_row", "episodes")}
+    return read_info(table, words.where, loops, file=f"{name}.parquet")
 
 
 def _refuse_unfed(loops: tuple[LoopSetup, ...], outputs: tuple[str, ...], stored: set[str], where: str) -> None:

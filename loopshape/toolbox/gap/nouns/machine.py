@@ -10,10 +10,10 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
-from loopshape.core.gate import pass_fields
+from loopshape.core.gate import Positive, pass_fields
 from loopshape.data.signal.channel import unit_of
 
 NO_EFFECT = "none"
@@ -40,9 +40,12 @@ class ModelParameter:
     range: tuple[float, float] | None = None
     shaped_by: str = ""
     starts: tuple[float, ...] = ()
+    READS: ClassVar = ("name", "value", "unit", "tolerance", "effect", "range", "shaped_by")
 
     def __post_init__(self) -> None:
         pass_fields(self)
+        if self.range is not None and not self.range[0] < self.range[1]:
+            raise WrongUseError(f"the range of {self.name} is two rising numbers", f"{list(self.range)}")
         if not self.effect:
             object.__setattr__(self, "effect", f"parameter_error@{self.name}")
         if not 0.0 <= self.tolerance < 1.0:
@@ -72,6 +75,7 @@ class Input:
     schedules: bool = False
     limits: tuple[float, float] | None = None
     without: tuple[str, ...] = ()
+    READS: ClassVar = ("name", "column", "factor", "tolerance", "unit", "schedules")
 
     def __post_init__(self) -> None:
         pass_fields(self)
@@ -98,7 +102,7 @@ class Output:
     factor: float = 1.0
     unit: str = ""
     offset: float = 0.0
-    leaves: float | None = None
+    leaves: Positive | None = None
 
     def __post_init__(self) -> None:
         pass_fields(self)

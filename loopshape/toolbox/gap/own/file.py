@@ -21,6 +21,7 @@ from typing import Any
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.io.config_table import ConfigTable, read_words, said_in
 from loopshape.io.files import clear, inside, part_of, reading, short
+from loopshape.io.schema import read
 from loopshape.io.size_limit import check_zip
 from loopshape.toolbox.gap.nouns.axis import axis
 from loopshape.toolbox.gap.nouns.machine import (
@@ -267,19 +268,7 @@ def _function(folder: Path, file: str, name: str) -> Callable[..., Any]:
 
 def _parameter(w: ConfigTable, start: float | None = None) -> ModelParameter:
     """A parameter; where the simulator states a start value, that is its nominal one."""
-    w.only("name", "value", "unit", "tolerance", "effect", "range", "shaped_by")
-    ends = w.list_of_numbers("range") if "range" in w.table else None
-    if ends is not None and not (len(ends) == 2 and ends[0] < ends[1]):
-        raise WrongUseError(f"{w.where}: a range is two rising numbers", f"{list(ends)}")
-    return ModelParameter(
-        w.text("name"),
-        w.number("value", start),
-        w.text("unit", "1"),
-        w.number("tolerance", 0.0),
-        w.maybe_text("effect") or "",
-        None if ends is None else (ends[0], ends[1]),
-        w.maybe_text("shaped_by") or "",
-    )
+    return read(ModelParameter, ({} if start is None else {"value": start}) | dict(w.table), w.where)
 
 
 def _kind(folder: Path, w: ConfigTable) -> Kind:
@@ -300,21 +289,13 @@ def _factor(w: ConfigTable) -> float:
 
 
 def _input(w: ConfigTable) -> Input:
-    w.only("name", "column", "factor", "tolerance", "unit", "schedules")
-    return Input(
-        w.text("name"),
-        w.maybe_text("column"),
-        _factor(w),
-        w.number("tolerance", 0.0),
-        w.text("unit", "1"),
-        w.truth("schedules", False),
-    )
+    _factor(w)
+    return read(Input, {"unit": "1", **w.table}, w.where)
 
 
 def _output(w: ConfigTable) -> Output:
-    w.only("name", "state", "column", "factor", "unit", "offset", "leaves")
-    read = (w.text("name"), w.text("state"), w.text("column"), _factor(w), w.text("unit", "1"))
-    return Output(*read, w.number("offset", 0.0), _leaves(w))
+    _factor(w)
+    return read(Output, {"unit": "1", **w.table}, w.where)
 
 
 def _leaves(w: ConfigTable) -> float | None:
@@ -323,7 +304,4 @@ def _leaves(w: ConfigTable) -> float | None:
 
 
 def _port(w: ConfigTable) -> Port:
-    w.only("name", "input", "position", "speed", "motor_inertia", "motor_damping", "unit")
-    inertia, damping = w.maybe_text("motor_inertia"), w.maybe_text("motor_damping")
-    where = (w.text("input"), w.text("position"), w.text("speed"))
-    return Port(w.text("name"), *where, inertia, w.text("unit", "1"), damping)
+    return read(Port, {"unit": "1", **w.table}, w.where)

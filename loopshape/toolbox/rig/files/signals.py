@@ -16,9 +16,7 @@ multisines, or of noises; the first is the loop that a recording `excites`, the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import MISSING, fields
-from typing import Any
+from dataclasses import fields
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
@@ -33,6 +31,7 @@ from loopshape.data.signal.excitation import (
 )
 from loopshape.data.signal.excitation_sets import LOOP_STEP
 from loopshape.io.config_table import ConfigTable, said_in
+from loopshape.io.schema import read
 from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {
@@ -72,13 +71,10 @@ def read_excitation(words: ConfigTable, seed: int) -> tuple[Excitation, str]:
     own = [f for f in fields(make) if f.name not in ("kind", "amplitude") and f.default is not None]
     own += [f for f in fields(make) if f.name == "lines_hz"]
     words.only("kind", f"amplitude_{unit}", *(f.name for f in own))
-    words.need(*(f.name for f in own if f.default is MISSING))
-    given = {f.name: _field(words, f.name, str(f.type)) for f in own if f.name in words.table}
+    table = {f.name: words.table[f.name] for f in own if f.name in words.table}
     if any(f.name == "seed" for f in own):
-        given.setdefault("seed", seed)
-    with said_in(words.where):
-        made = make(**given, amplitude=factor * words.number(f"amplitude_{unit}"))
-    return made, suffix
+        table.setdefault("seed", seed)
+    return read(make, table, words.where, amplitude=factor * words.number(f"amplitude_{unit}")), suffix
 
 
 def read_excitations(words: ConfigTable, seed: int) -> tuple[dict[str, Excitation], dict[str, str]]:
@@ -100,16 +96,6 @@ def read_excitations(words: ConfigTable, seed: int) -> tuple[dict[str, Excitatio
     return {loop: made for loop, (made, _) in read.items()}, {loop: suffix for loop, (_, suffix) in read.items()}
 
 
-def _field(words: ConfigTable, key: str, kind: str) -> Any:
-    readers: dict[str, Callable[[], Any]] = {
-        "float": lambda: words.number(key),
-        "int": lambda: words.whole(key, 0),
-        "bool": lambda: words.truth(key, False),
-        "str": lambda: words.text(key),
-    }
-    return readers.get(kind, lambda: words.list_of_numbers(key))()
-
-
 def read_setpoints(words: ConfigTable) -> tuple[dict[str, Setpoint], dict[str, str]]:
     """Setpoints by loop in stored units, and the suffix of each one's unit."""
     read = {loop: _setpoint(words.inner(loop)) for loop in words.table}
@@ -125,7 +111,7 @@ def _setpoint(words: ConfigTable) -> tuple[Setpoint, str]:
     words.only("kind", "times_s", f"values_{unit}", *limits.values())
     words.need("times_s", *limits.values())
     suffix, factor = to_stored(KEY_UNITS[unit])
-    times, values = words.list_of_numbers("times_s"), words.list_of_numbers(f"values_{unit}")
+    times, values = (words.value(key, tuple[float, ...]) for key in ("times_s", f"values_{unit}"))
     if not times:
         raise WrongUseError(
             f"{words.where}: a setpoint goes somewhere", "no times_s", "give at least one time and value"

@@ -38,7 +38,7 @@ there are `[target]` and `[limits]` too (`study_target`).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,8 @@ from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles, said_in
 from loopshape.io.files import inside, plain_name
 from loopshape.io.provenance import file_sha256
-from loopshape.io.run.run_tables import SCHEDULE_KEYS, TOLD, read_blocks, read_decoupling, read_loops, read_schedule
+from loopshape.io.run.run_tables import SCHEDULE_KEYS, Schedule, read_loops
+from loopshape.io.schema import read
 from loopshape.toolbox.learning.files import read_feedforward
 from loopshape.toolbox.rig.files.signals import read_excitation, read_excitations, read_setpoints
 from loopshape.toolbox.rig.files.target import read_target
@@ -63,7 +64,7 @@ _KEYS = (
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
-    "excitation", "excitations", "realisations", "references", "control", "feedforward", *(key.name for key in TOLD),
+    "excitation", "excitations", "realisations", "references", "control", "feedforward", "parameters",
 )  # fmt: skip
 Points = tuple[Mapping[str, float], ...]
 Setpoints = Mapping[str, Setpoint]
@@ -101,7 +102,7 @@ def read_study(path: Path) -> Study:
         pwm=_pwm(words),
         controllers={} if described else _controllers(words),
         schedules=_schedules(words, rate_hz),
-        decoupling={t.text("name"): read_decoupling(t) for t in words.tables("loop") if "decoupling" in t.table},
+        decoupling={t.text("name"): t.numbers("decoupling") for t in words.tables("loop") if "decoupling" in t.table},
         extra={
             "units": {t.name: u for t, u in read},
             "files": dict(p for _, u in read for p in u.get("files", {}).items()),
@@ -132,7 +133,16 @@ def _controllers(words: ConfigTable) -> dict[str, tuple[Block, ...]]:
         table.need("name")
         _refuse_both(table)
     refuse_doubles((table.text("name") for table in tables), words.where, "loops")
-    return {table.text("name"): read_blocks(table) for table in tables if "controller" in table.table}
+    return {t.text("name"): read(_Blocks, own, t.where).controller for t in tables if (own := _only_blocks(t))}
+
+
+@dataclass(frozen=True)
+class _Blocks:
+    controller: tuple[Block, ...]
+
+
+def _only_blocks(table: ConfigTable) -> dict[str, Any]:
+    return {key: value for key, value in table.table.items() if key == "controller"}
 
 
 def _refuse_both(table: ConfigTable) -> None:
@@ -145,7 +155,10 @@ def _refuse_both(table: ConfigTable) -> None:
 
 
 def _schedules(words: ConfigTable, rate_hz: float) -> dict[str, GainScheduled]:
-    return {t.text("name"): read_schedule(t, rate_hz) for t in words.tables("loop") if "nodes" in t.table}
+    keys = ("name", *SCHEDULE_KEYS)
+    own = [(t, {key: t.table[key] for key in keys if key in t.table}) for t in words.tables("loop")]
+    made: dict[str, Any] = {t.text("name"): read(Schedule, x, t.where, rate_hz=rate_hz) for t, x in own if "nodes" in x}
+    return made
 
 
 def _experiments(
@@ -183,7 +196,7 @@ def _experiment(words: ConfigTable, seed: int) -> tuple[ExperimentTemplate, dict
         tail_s=_from_zero(words, "tail_s"),
         duration_s=words.positive("duration_s") if "duration_s" in words.table else None,
         operating_points=_points(words),
-        **{key.name: key.read(words) for key in TOLD},
+        parameters=words.numbers("parameters"),
         excites_also={loop: signal for loop, signal in signals.items() if loop != excites},
     )
     units: dict[str, Any] = {"excitation": signal_units.pop(excites, None) if excites else None}

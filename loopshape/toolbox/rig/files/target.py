@@ -20,14 +20,14 @@ u_a = { low_v = -4.0, high_v = 4.0 }
 
 from __future__ import annotations
 
-from dataclasses import fields
-from math import inf
+from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
-from loopshape.io.config_table import ConfigTable, said_in
+from loopshape.io.config_table import ConfigTable
+from loopshape.io.schema import read
 from loopshape.toolbox.rig.files.signals import KEY_UNITS
-from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.toolbox.rig.settings import TargetSettings
 
 
 def read_target(words: ConfigTable) -> TargetSettings | None:
@@ -38,24 +38,11 @@ def read_target(words: ConfigTable) -> TargetSettings | None:
         return None
     words.need("target", "limits")
     inner, limits = words.inner("target"), words.inner("limits")
-    inner.only(*(f.name for f in fields(TargetSettings) if f.name != "limits"))
-    commands = inner.inner("commands")
-    read = [_limit(name, limits.inner(name)) for name in limits.table]
-    with said_in(inner.where):
-        return TargetSettings(
-            limits={limit.column: limit for limit in read},
-            commands={column: commands.numbers(column) for column in commands.table},
-            port=inner.maybe_text("port"),
-            baud=inner.whole("baud", TargetSettings.baud),
-            on_limit=inner.text("on_limit", TargetSettings.on_limit),
-            watchdog_ms=inner.whole("watchdog_ms", TargetSettings.watchdog_ms),
-            soft_start_s=inner.number("soft_start_s", TargetSettings.soft_start_s),
-            settle_s=inner.number("settle_s", TargetSettings.settle_s),
-            place=inner.truth("place", TargetSettings.place),
-        )
+    read_limits = [_limit(name, limits.inner(name)) for name in limits.table]
+    return read(TargetSettings, inner.table, inner.where, limits={one["column"]: one for one in read_limits})
 
 
-def _limit(name: str, words: ConfigTable) -> Limit:
+def _limit(name: str, words: ConfigTable) -> dict[str, Any]:
     """Limits of one column: low_<unit>, high_<unit> and, if required, rate_<unit>_s, all in one unit."""
     unit = next((key.removeprefix("low_") for key in words.table if key.startswith("low_")), "")
     if unit not in KEY_UNITS:
@@ -67,6 +54,7 @@ def _limit(name: str, words: ConfigTable) -> Limit:
     low, high, rate = f"low_{unit}", f"high_{unit}", f"rate_{unit}_s"
     words.only(low, high, rate)
     suffix, factor = to_stored(KEY_UNITS[unit])
-    largest = factor * words.number(rate) if rate in words.table else inf
-    with said_in(words.where):
-        return Limit(f"{name}_{suffix}", factor * words.number(low), factor * words.number(high), largest)
+    made = {"low": factor * words.number(low), "high": factor * words.number(high)}
+    return {"column": f"{name}_{suffix}", **made} | (
+        {"rate": factor * words.number(rate)} if rate in words.table else {}
+    )

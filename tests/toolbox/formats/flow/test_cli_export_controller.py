@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 import loopshape as ls
 from loopshape.io.config_table import ConfigTable
-from loopshape.io.run.run_tables import loop_table, read_loop
+from loopshape.io.run.run_tables import loop_table, read_loops
 from loopshape.io.write.frf_words import frf_header, frf_words
 from loopshape.toolbox.formats.commands.export import export_controller
 from loopshape.toolbox.formats.controllers.controller_words import comment, identifier
@@ -66,7 +66,7 @@ def test_settings_survive_a_controller_file(file):
 def test_settings_survive_a_run_and_a_frf():
     recorded = replace(FINE, computation_delay_s=0.0, added_hold=False)
     table = loop_table(LoopSetup("theta 2", "r_rad", "n_rad", "z_v", "y_rad", recorded))
-    assert_same(recorded, read_loop(ConfigTable(table, "run.toml"), RATE_HZ).controller)
+    assert_same(recorded, read_loops(ConfigTable({"loop": [table]}, "run.toml"), RATE_HZ)[0].controller)
     one = np.ones((3, 1, 1), dtype=complex)
     for recorded_under in (FINE, PLAIN):
         frf = ls.FRF(

@@ -9,7 +9,7 @@ from bench_nouns import Block, LoopSetup, step
 
 import loopshape as ls
 from loopshape.io.config_table import ConfigTable
-from loopshape.io.run.run_tables import loop_table, read_loop
+from loopshape.io.run.run_tables import loop_table, read_loops
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
 
 GAIN = Block("gain", {"gain": 1.0})
@@ -159,7 +159,7 @@ def test_a_run_s_loop_has_no_delay_or_hold_of_its_own():
         with pytest.raises(
             ls.errors.WrongUseError, match=r"contains the hold and the delay of its controller.*leave them out of a"
         ):
-            read_loop(ConfigTable(LOOP | setting, "run.toml"), 100.0)
+            read_loops(ConfigTable({"loop": [LOOP | setting]}, "run.toml"), 100.0)
     late = ls.Controller("axis", (GAIN,), 100.0, computation_delay_s=1e-3)
     with pytest.raises(
         ls.errors.WrongUseError, match=r"loop 'axis': a recording .*computation_delay_s = 0.001, added_hold = false"
@@ -173,9 +173,9 @@ def test_settings_without_a_controller():
     bare = {key: value for key, value in LOOP.items() if key != "controller"}
     for key, value in (("prewarp_hz", 5.0), ("precision", "single")):
         with pytest.raises(
-            ls.errors.WrongUseError, match=f"run.toml: {key} goes with a controller; received no controller"
+            ls.errors.WrongUseError, match=f"run.toml, loop .*: {key} goes with a controller; received no controller"
         ):
-            read_loop(ConfigTable(bare | {key: value}, "run.toml"), 100.0)
+            read_loops(ConfigTable({"loop": [bare | {key: value}]}, "run.toml"), 100.0)
 
 
 FILE = """

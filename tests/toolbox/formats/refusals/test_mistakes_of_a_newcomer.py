@@ -9,7 +9,7 @@ import pytest
 from run_files import write_frfs
 
 import loopshape as ls
-from loopshape.io.profiles import profile_of
+from loopshape.io.requirements import profile_of
 from loopshape.io.write.check_files import check_files
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.own.file import _function, _unpacked

@@ -277,7 +277,7 @@ def test_a_urdf_is_a_machine_with_an_effort_at_every_joint(winch):
         ('column = "lever_rad"', 'column = "lever_rad", leave = 0.4', "unknown key; received 'leave'; did you mean"),
         ("window_s = 0.8", "leaves = 0.4", "unknown key; received 'leaves'"),
         (", range = [0.0, 1.0]", "", "parameter load is 0, so nothing tells how far it may be off"),
-        ("range = [0.0, 1.0]", "range = [1.0, 0.0]", "a range is two rising numbers"),
+        ("range = [0.0, 1.0]", "range = [1.0, 0.0]", "is two rising numbers"),
         ('column = "torque_nm"', 'column = "torque_nm", factor = 0', "a factor is not 0"),
         ("window_s = 0.8", "window_s = 0", "window_s"),
         ('format = "loopshape-model/1"\n', "", "loopshape-model/1"),
@@ -304,3 +304,9 @@ def test_a_run_never_loads_a_python_file_that_it_names_itself(folder):
     text = (folder / "run/run.toml").read_text()
     (folder / "run/run.toml").write_text('plant = "winch"\n' + text + '\n[model]\nfile = "../model.toml"\n')
     assert loopshape("gap", folder / "run") == 2
+
+
+def test_a_model_of_version_1_opens():
+    made = read_model(Path(__file__).parents[3] / "helpers/kept/model-1.toml")
+    assert made.values()["inertia"] == pytest.approx(2.0)
+    assert (made.inputs[0].factor, made.outputs[0].offset, made.window_s) == (2.0, 0.1, 0.5)

@@ -119,14 +119,18 @@ def test_requirements(tmp_path):
 
     no(REQUIREMENTS.replace("/1", "/2"), "loopshape-requirements/1", error=ls.errors.UnreadableInputError)
     no(REQUIREMENTS + "phase_margin = 45\n", "q.toml, loop 'x'", "unknown key", "phase_margin_deg")
-    no(REQUIREMENTS + 'phase_margin_deg = "45"\n', "must be a number", "'45'")
+    no(REQUIREMENTS + 'phase_margin_deg = "45"\n', "must be a finite number", "'45'")
     no(REQUIREMENTS + "phase_margin_deg = inf\n", "finite number")
-    no(REQUIREMENTS + "band_hz = 3\n", "band_hz", "list of numbers")
+    no(REQUIREMENTS + "band_hz = 3\n", "band_hz", "pair of numbers")
     no(REQUIREMENTS + "band_hz = [3, 2]\n", "two rising frequencies")
     no(REQUIREMENTS.replace('name = "x"', "name = 3"), "name", "text")
     no(REQUIREMENTS + "structure = [3]\n", "list of tables")
     no(REQUIREMENTS + 'structure = [{ kind = ["gain"] }]\n', "kind", "text")
-    no(REQUIREMENTS + 'structure = [{ kind = "gain", gain = [1] }]\n', "gain is a number")
+    no(
+        REQUIREMENTS + 'structure = [{ kind = "gain", gain = [1] }]\n',
+        "structure 1: gain of a gain block must be a finite number",
+        "[1]",
+    )
     no(REQUIREMENTS + 'structure = [{ kind = "gain", gain = { min = 1 } }]\n', "min, max")
     no(REQUIREMENTS + 'structure = [{ kind = "gain", gain = { min = "1", max = 2 } }]\n', "finite number")
     no(REQUIREMENTS + REQUIREMENTS.split("\n", 1)[1], "two loops have one name")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bench_nouns import LIMIT_OF, Block
 from conversions import angular, db
+from run_files import requirements_of
 from tune_plants import DELAY_S, DELAYED, GAIN, LEAD, LOW_PASS, RATE, frf, servos
 from tune_plants import required as asking
 
@@ -27,7 +28,7 @@ POINTS = ((0.1, -30.0), (2.0, -3.0), (9.0, 4.0))
 
 
 def required(**more):
-    return ls.Requirements.from_table({"name": "one", "integrators": 1, "unstable_poles": 0} | more)
+    return requirements_of({"name": "one", "integrators": 1, "unstable_poles": 0} | more)
 
 
 def checked(frfs, requirements, controller=PI_LOOP):
@@ -144,10 +145,13 @@ def test_a_shift_of_the_plant_must_keep_the_mask_too():
         ({"response": "Q", "points": POINTS}, "S, T, L, CS or PS"),
         ({"response": "S", "points": [[1.0, 2.0]]}, "two pairs"),
         ({"response": "S", "points": [[1.0, 2.0], [1.0, 3.0]]}, "strictly increasing"),
-        ({"response": "S", "points": [[1.0, 2.0], [2.0, float("nan")]]}, "two pairs"),
+        (
+            {"response": "S", "points": [[1.0, 2.0], [2.0, float("nan")]]},
+            "pairs of numbers; received .* as entry 2",
+        ),
         ({"response": "S", "points": "1, 2"}, "list of pairs"),
         ({"response": "S", "points": POINTS, "sense": "at_least"}, "upper limit"),
-        ({"response": "S"}, "response, points"),
+        ({"response": "S"}, "masks 1: a key is missing; received no points"),
     ],
 )
 def test_a_mask_without_meaning_is_refused(table, words):
@@ -161,10 +165,16 @@ def test_a_mask_without_meaning_is_refused(table, words):
         ({"sensitivity_mask_db": 1.0}, "needs a mask"),
         ({"at": [{"phase_margin_deg": 40.0}]}, "need where and a limit"),
         ({"at": [{"where": {"x": [1.0, 0.0]}, "phase_margin_deg": 40.0}]}, "must rise"),
-        ({"at": [{"where": {"x": "low"}, "phase_margin_deg": 40.0}]}, "where of an AtPoints"),
+        (
+            {"at": [{"where": {"x": "low"}, "phase_margin_deg": 40.0}]},
+            "where: x must be a pair .*; received 'low'",
+        ),
         ({"at": [{"where": {"x": [0.0, 1.0]}, "detuning_percent": 1.0}]}, "cannot be limited"),
         ({"at": [{"where": {"x": [0.0, 1.0]}, "phase_margin_deg": 200.0}]}, "must not exceed"),
-        ({"at": [{"where": {"x": [0.0, 1.0]}, "phase_margin_deg": "much"}]}, "to a number"),
+        (
+            {"at": [{"where": {"x": [0.0, 1.0]}, "phase_margin_deg": "much"}]},
+            "phase_margin_deg must be a finite number; received 'much'",
+        ),
     ],
 )
 def test_limits_at_operating_points_without_meaning_are_refused(more, words):

@@ -15,7 +15,7 @@ import pytest
 from bench_nouns import Block, TransferFunction
 from commands import invoked
 from conversions import TWO_PI
-from run_files import write_frfs
+from run_files import requirements_of, write_frfs
 from tune_plants import GAIN, LEAD, LOW_PASS, PI, RATE, frf, problem_of, required, servos
 
 import loopshape as ls
@@ -175,9 +175,9 @@ def test_what_is_no_weight_is_refused():
     with pytest.raises(ls.errors.WrongUseError, match="needs weights"):
         ls.Requirements(weighted_norm=1.0)
     with pytest.raises(ls.errors.WrongUseError, match="points or blocks"):
-        ls.Requirements.from_table({"name": "a", "weights": [{"response": "S"}]})
+        requirements_of({"name": "a", "weights": [{"response": "S"}]})
     with pytest.raises(ls.errors.WrongUseError, match="needs weights"):
-        ls.Requirements.from_table({"name": "a", "objective": "weighted_norm"})
+        requirements_of({"name": "a", "objective": "weighted_norm"})
 
 
 def test_the_page_of_weights_runs(capsys):
@@ -187,7 +187,7 @@ def test_the_page_of_weights_runs(capsys):
     assert left["C"].feasible
     assert "weighted_norm" in capsys.readouterr().out
     (table,) = re.findall(r"```toml\n(.*?)```", page, flags=re.S)
-    assert ls.Requirements.from_table(tomllib.loads(table)["loop"][0]).objective == ls.Objective(0.0, weighted_norm=1.0)
+    assert requirements_of(tomllib.loads(table)["loop"][0]).objective == ls.Objective(0.0, weighted_norm=1.0)
 
 
 def test_the_command_tunes_to_the_norm_of_a_file(tmp_path):
