@@ -22,7 +22,7 @@ from loopshape.toolbox.gap.pictures.report import gap_figure, missing, sizes
 from loopshape.toolbox.learning.picture import feedforward_page
 from loopshape.toolbox.learning.verbs import setpoint_of
 from loopshape.toolbox.planning.tone.pictures import tones_page
-from loopshape.toolbox.planning.tone.tones import Period, tones_of, without_periods
+from loopshape.toolbox.planning.tone.tones import Excitation, Period, tones_of, without_periods
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, png, styled
 
 DOCS = Path(__file__).parent
@@ -125,7 +125,14 @@ def _tones() -> Figure:
     )
     y += 0.05 * np.exp(0.5 * (t - 4.0)) * np.sin(2 * np.pi * 58.8 * t)
     period = Period(1024)
-    found = tones_of(y, 1000.0, period=period, recording="multisine", channel="y", unit="rad")
+    found = tones_of(
+        y,
+        1000.0,
+        excitation=Excitation(period=period),
+        recording="multisine",
+        channel="y",
+        unit="rad",
+    )
     return tones_page(found, without_periods(y, period), 1000.0)
 
 

@@ -7,12 +7,33 @@ Windows about one line lie within each other, so that each line of the record is
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from loopshape.core.kernels.compiled import Array, ComplexArray, compiled, compiled_in_line
 
 #: beyond so many lines a window's leverages are small, and their mean is taken for each
 NARROW = 100
+
+
+class Windows(NamedTuple):
+    """A window [left, right] (n,), both ends included, about each of `lines` (n,), and the order of its polynomials."""
+
+    lines: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    order: int
+
+
+class Solved(NamedTuple):
+    """What was fitted in n windows, contiguous; shapes and meaning as in `Fits`."""
+
+    inverse: ComplexArray
+    theta: ComplexArray
+    denominator: ComplexArray
+    bends: ComplexArray
+    pull: ComplexArray
 
 
 @compiled
@@ -57,25 +78,14 @@ def _add(z: ComplexArray, t: float, product: Array, total: Array) -> None:
 
 
 @compiled
-def influence(
-    z: ComplexArray,
-    lines: Array,
-    left: Array,
-    right: Array,
-    order: int,
-    inverse: ComplexArray,
-    theta: ComplexArray,
-    denominator: ComplexArray,
-    bends: ComplexArray,
-    pull: ComplexArray,
-    total: ComplexArray,
-    effective: Array,
-) -> None:
-    """Sums of what each line's residual moves a response by, for one window at each of `lines` (n,), as `Fits` has it.
+def influence(z: ComplexArray, windows: Windows, fits: Solved, total: ComplexArray, effective: Array) -> None:
+    """Sums of what each line's residual moves a response by, for one window at each of n lines.
 
     z (nf, 2 + m) are an instrument, 1 and answers. Into `total` (n, m, m) go squares, each residual over the root of
     one less its leverage (HC2: MacKinnon and White 1985), into `effective` (n,) how many residuals that is.
     """
+    lines, left, right, order = windows
+    inverse, theta, denominator, bends, pull = fits
     rows, q, m = theta.shape
     b, a = np.empty(q, dtype=np.complex128), np.empty(q, dtype=np.complex128)
     moved = np.empty(m, dtype=np.complex128)
@@ -87,7 +97,7 @@ def influence(
             t = (j - lines[i]) * 2.0 / (width - 1)
             _columns(z[j, 0], t, order + 1, b)
             root = 1.0 / np.sqrt(max(1.0 - _leverage(inverse[i], b, width, a), 1e-3))
-            _moved(z[j], t, root, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
+            _moved(z[j], t, root, b, a, (theta[i], denominator[i], bends[i], pull[i]), change, moved)
             for x in range(m):
                 for y in range(m):
                     total[i, x, y] += moved[x] * np.conj(moved[y])
@@ -99,19 +109,7 @@ def influence(
 
 @compiled
 def shifted(
-    z: ComplexArray,
-    lines: Array,
-    left: Array,
-    right: Array,
-    order: int,
-    inverse: ComplexArray,
-    theta: ComplexArray,
-    denominator: ComplexArray,
-    bends: ComplexArray,
-    pull: ComplexArray,
-    gates: Array,
-    moves: ComplexArray,
-    columns: ComplexArray,
+    z: ComplexArray, windows: Windows, fits: Solved, gates: Array, moves: ComplexArray, columns: ComplexArray
 ) -> None:
     """What residuals would move each response by, had the sweep passed earlier or later; arguments as for `influence`.
 
@@ -119,6 +117,8 @@ def shifted(
     (n, g, m) go their sums with the residuals, into `columns` (n, g, q) those with the fitted columns, which are what
     a fit takes away of noise at that time.
     """
+    lines, left, right, order = windows
+    inverse, theta, denominator, bends, pull = fits
     rows, q, m = theta.shape
     b, a = np.empty(q, dtype=np.complex128), np.empty(q, dtype=np.complex128)
     moved = np.empty(m, dtype=np.complex128)
@@ -132,7 +132,7 @@ def shifted(
             t = (j - lines[i]) * 2.0 / (width - 1)
             _columns(z[j, 0], t, order + 1, b)
             _weight(inverse[i], b, a)
-            _moved(z[j], t, 1.0, b, a, theta[i], denominator[i], bends[i], pull[i], change, moved)
+            _moved(z[j], t, 1.0, b, a, (theta[i], denominator[i], bends[i], pull[i]), change, moved)
             for g in range(gates.size):
                 for x in range(m):
                     moves[i, g, x] += moved[x] * cycles[g]
@@ -174,19 +174,14 @@ def _leverage(inverse: ComplexArray, b: ComplexArray, width: int, a: ComplexArra
 
 @compiled_in_line
 def _moved(
-    z: ComplexArray,
-    t: float,
-    root: float,
-    b: ComplexArray,
-    a: ComplexArray,
-    theta: ComplexArray,
-    denominator: ComplexArray,
-    bends: ComplexArray,
-    pull: ComplexArray,
-    change: ComplexArray,
-    moved: ComplexArray,
-) -> None:
-    """What a line's residuals times `root` move each response by, into moved (m,): directly and by the denominator."""
+    z: ComplexArray, t: float, root: float, b: ComplexArray, a: ComplexArray, fit: tuple[ComplexArray, ...],
+    change: ComplexArray, moved: ComplexArray,
+) -> None:  # fmt: skip
+    """What a line's residuals times `root` move each response by, into moved (m,): directly and by the denominator.
+
+    `fit` is what was fitted in the line's window, without the inverse.
+    """
+    theta, denominator, bends, pull = fit
     q, poles = b.size, denominator.size - 1
     change[:] = 0.0
     for x in range(moved.size):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loopshape.core.kernels.local_sums import influence, moments, shifted
+from loopshape.core.kernels.local_sums import Solved, Windows, influence, moments, shifted
 from loopshape.core.units import Array, ComplexArray
 
 #: what keeps equations regular that say the same twice, relative to their own size
@@ -176,7 +176,7 @@ def influences(
     """
     n, m = fits.response.shape
     total, effective = np.zeros((n, m, m), dtype=complex), np.empty(n)
-    influence(z, lines, left, right, order, *_parts(fits), total, effective)
+    influence(z, Windows(lines, left, right, order), _solved(fits), total, effective)
     return total, effective
 
 
@@ -189,12 +189,10 @@ def at_gates(
     """
     n, q, m = fits.theta.shape
     moves, columns = np.zeros((n, gates.size, m), dtype=complex), np.zeros((n, gates.size, q), dtype=complex)
-    shifted(z, lines, left, right, order, *_parts(fits), gates, moves, columns)
+    shifted(z, Windows(lines, left, right, order), _solved(fits), gates, moves, columns)
     return moves, columns
 
 
-def _parts(fits: Fits) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
+def _solved(fits: Fits) -> Solved:
     """What the kernels take of fits."""
-    parts = (fits.inverse, fits.theta, fits.denominator, fits.bends, fits.pull)
-    inverse, theta, denominator, bends, pull = (np.ascontiguousarray(x, dtype=complex) for x in parts)
-    return inverse, theta, denominator, bends, pull
+    return Solved(*(np.ascontiguousarray(getattr(fits, part), dtype=complex) for part in Solved._fields))

@@ -6,6 +6,9 @@ Order inside a tick: measure, control, log, integrate under the force that is he
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from loopshape.core.kernels import biquads, noise
 from loopshape.core.kernels.compiled import compiled
@@ -19,40 +22,62 @@ LOGGED = ("position", "force", "true_position", "true_velocity", "true_load")
 MEASURED = 2
 
 
+class Mechanism(NamedTuple):
+    """An axis under way: its constants, state (4,) and memory (4,)."""
+
+    c: Array
+    x: Array
+    m: Array
+
+
+class Sensor(NamedTuple):
+    """Rms noise, resolution (0: none) and range of the position in m."""
+
+    noise_m: float
+    step_m: float
+    range_m: float
+
+
+class Inputs(NamedTuple):
+    """What goes in: reference in m and what is injected (n,), where that enters, and the noise's state."""
+
+    reference: Array
+    injected: Array
+    injection: int
+    random_state: int
+
+
+def under_way(c: Array, position: float, velocity: float, force: float) -> Mechanism:
+    """An axis that moves as a whole, in m, m/s and N."""
+    x, m = np.empty(motion.STATES), np.empty(motion.MEMORY)
+    motion.start(x, m, position, velocity, force)
+    return Mechanism(c, x, m)
+
+
 @compiled
 def run(
-    c: Array,
-    sensor: Array,
-    x: Array,
-    m: Array,
-    sections: Array,
-    controller_state: Array,
-    reference: Array,
-    injected: Array,
-    injection: int,
-    tick_s: float,
-    steps: int,
-    random_state: int,
-    commands: Array,
-    out: Array,
-) -> tuple[int, int]:
-    """Simulate as many ticks as `reference` (n,) in m has; fills `out` (n, 2 or 5) by `LOGGED`.
+    axis: Mechanism, sensor: Sensor, sections: Array, controller_state: Array, inputs: Inputs, tick_s: float,
+    steps: int, out: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """Simulate as many ticks as the reference has; fills `out` (n, 2 or 5) by `LOGGED`.
 
-    `sensor` holds noise, resolution (0: none) and range in m; `commands` (n,) takes the force at the drive in N;
-    `x` (4,), `m` (4,) and `controller_state` move in place. Gives why it ended and how many ticks are logged.
+    The axis and `controller_state` move in place. Gives why it ended and how many ticks are logged.
     """
+    c, x, m = axis
+    reference, injected, injection, random_state = inputs
+    commands = np.empty(reference.size)
     slack, has_spare = 0.0, False
     for tick in range(reference.shape[0]):
         position = motion.seen(c, x, m)
-        if sensor[0] > 0.0:
+        if sensor.noise_m > 0.0:
             if has_spare:
                 draw, has_spare = slack, False
             else:
                 random_state, draw, slack = noise.normal_pair(random_state)
                 has_spare = True
-            position += sensor[0] * draw
-        if sensor[1] > 0.0:
-            position = sensor[1] * round(position / sensor[1])
+            position += sensor.noise_m * draw
+        if sensor.step_m > 0.0:
+            position = sensor.step_m * round(position / sensor.step_m)
         force = injected[tick]
         if injection != CONTROL:
             error = reference[tick] - position
@@ -66,29 +91,23 @@ def run(
         motion.advance(c, x, m, motion.pushed(c, m, commands, tick, tick_s), tick_s, steps)
         if not math.isfinite(x[motion.DRIVE] + x[motion.DRIVE_V]):
             return NOT_FINITE, tick + 1
-        if abs(x[motion.DRIVE]) > sensor[2]:
+        if abs(x[motion.DRIVE]) > sensor.range_m:
             return LEFT_RANGE, tick + 1
     return COMPLETE, reference.shape[0]
 
 
 @compiled
 def follow(
-    c: Array,
-    x: Array,
-    m: Array,
-    commands: Array,
-    measured: Array,
-    position_gain: float,
-    velocity_gain: float,
-    tick_s: float,
-    steps: int,
-    out: Array,
-) -> None:
+    axis: Mechanism, commands: Array, measured: Array, gains: tuple[float, float], tick_s: float, steps: int
+) -> Array:
     """The axis driven by logged forces (n,) in N, drawn to the measured positions (n,) in m.
 
-    Gains per tick: of the position, and of the velocity in 1/s; all masses move with them. Fills `out` (n,) with
-    measured minus modelled position in m, before each pull.
+    Gains per tick: of the position, and of the velocity in 1/s; all masses move with them. Gives measured minus
+    modelled position (n,) in m, before each pull.
     """
+    c, x, m = axis
+    position_gain, velocity_gain = gains
+    out = np.empty(commands.size)
     for tick in range(commands.shape[0]):
         off = measured[tick] - motion.seen(c, x, m)
         out[tick] = off
@@ -98,3 +117,4 @@ def follow(
         x[motion.LOAD_V] += velocity_gain * off
         m[motion.PLAYED] += position_gain * off
         motion.advance(c, x, m, motion.pushed(c, m, commands, tick, tick_s), tick_s, steps)
+    return out

@@ -136,15 +136,12 @@ def observer_gains(f_hz: float, tick_s: float) -> tuple[float, float]:
 
 def missed(f: Followed, c: Array, observer_hz: float) -> Array:
     """Measured minus modelled position (n,) in m before each pull of an observer."""
-    x, m = np.empty(motion.STATES), np.empty(motion.MEMORY)
     few = max(2, round(0.02 * f.rate_hz))
     slope, position = np.polyfit(np.arange(few) / f.rate_hz, f.position_m[:few], 1)
-    motion.start(x, m, float(position), float(slope), float(f.force_n[0]))
-    out = np.empty_like(f.position_m)
+    axis = closed_loop.under_way(c, float(position), float(slope), float(f.force_n[0]))
     gains = observer_gains(observer_hz, 1.0 / f.rate_hz)
     steps = motion.STEPS if c[SHARE] > 0.0 else 1  # one mass is exact enough in one step a tick
-    closed_loop.follow(c, x, m, f.force_n, f.position_m, *gains, 1.0 / f.rate_hz, steps, out)
-    return out
+    return closed_loop.follow(axis, f.force_n, f.position_m, gains, 1.0 / f.rate_hz, steps)
 
 
 def lacking_n(f: Followed, vector: Array) -> Array:

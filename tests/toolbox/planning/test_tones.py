@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 import loopshape as ls
 from loopshape.toolbox.planning.tone.nouns import Growth
-from loopshape.toolbox.planning.tone.tones import Period, tones_of
+from loopshape.toolbox.planning.tone.tones import Excitation, Period, tones_of
 
 RATE, N = 1000.0, 8192
 T = np.arange(N) / RATE
@@ -98,14 +98,14 @@ def test_lines_of_the_excitation_are_no_tones_of_the_machine():
     ]  # fmt: skip
     for injected, period in cases:
         for level in (1e-3, 0.1):
-            found = tones_of(held(level, injected, rng), RATE, known=[injected], period=period)
+            found = tones_of(held(level, injected, rng), RATE, excitation=Excitation([injected], period))
             assert not found.tones
 
 
 def test_a_tone_between_the_lines_of_a_multisine_is_seen():
     rng = np.random.default_rng(6)
     y = held(0.05, multisine(rng), rng) + 0.03 * np.exp(0.2 * (T - MIDDLE)) * np.sin(2.0 * np.pi * 58.8 * T)
-    (tone,) = tones_of(y, RATE, period=Period(1024)).tones
+    (tone,) = tones_of(y, RATE, excitation=Excitation(period=Period(1024))).tones
     assert tone.frequency_interval_hz[0] < 58.8 < tone.frequency_interval_hz[1]
     assert tone.amplitude_interval[0] < 0.03 < tone.amplitude_interval[1]
 

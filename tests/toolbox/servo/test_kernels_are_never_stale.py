@@ -23,10 +23,9 @@ from loopshape.toolbox.servo import closed_loop, motion, parameters as k
 c = np.zeros(len(k.AXIS_PARAMETERS.rows))
 c[k.MASS], c[k.VISCOUS] = {MASS}, {VISCOUS}
 c.setflags(write=len(sys.argv) == 1)  # another type for the compiler
-x, m, out = np.zeros(motion.STATES), np.zeros(motion.MEMORY), np.empty({TICKS})
-motion.start(x, m, 0.0, 1.0, 0.0)
-closed_loop.follow(c, x, m, np.zeros({TICKS}), np.zeros({TICKS}), 0.0, 0.0, {TICK_S}, 1, out)
-json.dump([x[motion.DRIVE], closed_loop.follow.stats.cache_misses.total()], sys.stdout)
+axis = closed_loop.under_way(c, 0.0, 1.0, 0.0)
+closed_loop.follow(axis, np.zeros({TICKS}), np.zeros({TICKS}), (0.0, 0.0), {TICK_S}, 1)
+json.dump([axis.x[motion.DRIVE], closed_loop.follow.stats.cache_misses.total()], sys.stdout)
 """
 BRAKED = pytest.approx(MASS / VISCOUS * (1.0 - math.exp(-VISCOUS / MASS * TICKS * TICK_S)), rel=1e-6)  # m dv/dt = -d v
 FREE = pytest.approx(TICKS * TICK_S, rel=1e-12)

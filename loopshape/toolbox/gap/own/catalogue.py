@@ -79,9 +79,9 @@ def spread(model: Model) -> tuple[Spread, ...]:
 
 def _form(
     kind: str, place: str, form: str, unit: str, free: tuple[Free, ...], fixed: Mapping[str, float] | None = None,
-    usual: tuple[float, float] = (0.0, _LARGE), source: str = "", scale: float = 1.0, extends: str = "",
+    usual: tuple[float, float] = (0.0, _LARGE), source: str = "",
 ) -> EffectForm:  # fmt: skip
-    return EffectForm(f"{kind}@{place}", form, place, unit, free, fixed or {}, {}, scale, usual, source, extends)
+    return EffectForm(f"{kind}@{place}", form, place, unit, free, fixed or {}, {}, 1.0, usual, source)
 
 
 def _late(kind: str, place: str, at: str, s: Scales) -> Iterator[EffectForm]:
@@ -140,16 +140,16 @@ def _dry(p: Port, s: Scales) -> Iterator[EffectForm]:
     if (most := s.command[p.input][0]) > 0.0:
         load, back = Free(f"{at}.load", 0.0, 1.0, (0.1,)), Free(f"{at}.driven_back", 0.0, 1.0, (0.1,))
         soft = replace(slow, starts=(0.03 * x.speed,))  # fits that start sharper stay in local minima
-        yield _form(kind, p.name, "grows with the load", p.unit, (level, soft, load), source="Duclusaud 2024, M3",
-                    extends=kind)  # fmt: skip
-        yield _form(kind, p.name, "grows with the load, more when driven back", p.unit, (level, soft, load, back),
-                    source="after Duclusaud 2024, M5", extends=kind)  # fmt: skip
         stuck = Free(f"{at}.load_stribeck", 0.0, 5.0, (0.5,))
         square = Free(f"{at}.load_square", 0.0, 1.0 / most, (0.1 / most,))
-        yield _form(kind, p.name, "grows with the load, either higher at break-away", p.unit,
-                    (level, soft, load, share, fall, stuck), source="Duclusaud 2024, M4", extends=kind)  # fmt: skip
-        yield _form(kind, p.name, "grows with the load and its square, more when driven back", p.unit,
-                    (level, soft, load, back, square), source="after Duclusaud 2024, M6", extends=kind)  # fmt: skip
+        for form, more, source in (
+            ("grows with the load", (), "Duclusaud 2024, M3"),
+            ("grows with the load, more when driven back", (back,), "after Duclusaud 2024, M5"),
+            ("grows with the load, either higher at break-away", (share, fall, stuck), "Duclusaud 2024, M4"),
+            ("grows with the load and its square, more when driven back", (back, square), "after Duclusaud 2024, M6"),
+        ):
+            found = _form(kind, p.name, form, p.unit, (level, soft, load, *more), source=source)
+            yield replace(found, extends=kind)
 
 
 def _port(p: Port, s: Scales) -> Iterator[EffectForm]:

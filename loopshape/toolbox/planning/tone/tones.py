@@ -56,6 +56,15 @@ class Period:
     first: int = 0
 
 
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """What moved the machine: signals (n,), the period of a periodic one, and whether they sweep."""
+
+    signals: Sequence[Signal] = ()
+    period: Period | None = None
+    swept: bool = False
+
+
 @dataclass(frozen=True)
 class _Candidate:
     """A line of one part of the record that noise does not explain."""
@@ -75,21 +84,18 @@ def tones_of(
     signal: Signal,
     rate_hz: float,
     *,
-    known: Sequence[Signal] = (),
-    period: Period | None = None,
+    excitation: Excitation = Excitation(),
     chance: float = CHANCE,
     recording: str = "recording",
     channel: str = "signal",
     unit: str = "",
-    swept: bool = False,
     closed_loop: bool | None = None,
 ) -> Tones:
-    """Rms and tones of a signal (n,), n at least 512; `known` are signals (n,) of the excitation.
+    """Rms and tones of a signal (n,), n at least 512.
 
-    Where they are `swept`, a line that they have power at in the same part is the excitation's too: what a resonance
-    makes of a sweep that passes grows and decays. `chance` is that of any tone at all being reported where there is
-    noise alone. Signals above a million samples are
-    looked at a million at a time. Raises BadSignalError for one that is shorter.
+    A line that a swept excitation has power at in the same part is the excitation's too: what a resonance makes of a
+    sweep that passes grows and decays. `chance` is that of any tone at all being reported where there is noise alone.
+    Signals above a million samples are looked at a million at a time. Raises BadSignalError for one that is shorter.
     """
     size = signal.size
     if size < SHORTEST:
@@ -103,8 +109,8 @@ def tones_of(
     found, sums = [], []
     for start, stop in wholes:
         values = np.asarray(signal[start:stop], dtype=float)
-        excitation = [np.asarray(one[start:stop], dtype=float) for one in known]
-        tones, rest = _tones(values, excitation, period, start, rate_hz, chance, max(tests, 1), swept)
+        here = replace(excitation, signals=[np.asarray(one[start:stop], dtype=float) for one in excitation.signals])
+        tones, rest = _tones(values, here, start, rate_hz, chance, max(tests, 1))
         found += [
             replace(t, from_s=float(t.from_s + start / rate_hz), to_s=float(t.to_s + start / rate_hz)) for t in tones
         ]
@@ -139,17 +145,17 @@ def _without_periods(values: Array, period: Period | None, offset: int) -> tuple
 
 
 def _tones(
-    values: Array, excitation: Sequence[Array], period: Period | None, offset: int, rate_hz: float, chance: float,
-    tests: int, swept: bool,
-) -> tuple[list[Tone], Array]:  # fmt: skip
+    values: Array, excitation: Excitation, offset: int, rate_hz: float, chance: float, tests: int
+) -> tuple[list[Tone], Array]:
     """Tones of a signal that begins at sample `offset`, and what is left without them and without its periodic part.
 
     A mean over few periods holds some of a tone, and the tone is fitted to what it leaves: both in turn.
     """
+    period = excitation.period
     alone, free = _without_periods(values, period, offset)
     accepted: list[_Candidate] = []
     rounding = (ROUNDING * float(np.abs(values).max())) ** 2
-    candidates = _candidates(alone, excitation, free, rate_hz, chance, tests, rounding, swept)
+    candidates = _candidates(alone, excitation, free, rate_hz, chance, tests, rounding)
     for one in sorted(candidates, key=lambda c: c.chance):
         if len(accepted) < MOST and not any(one.same_as(other) for other in accepted):
             accepted.append(one)
@@ -198,9 +204,8 @@ def _around(value: float, half_width: float) -> Interval:
 
 
 def _candidates(
-    values: Array, excitation: Sequence[Array], free: float, rate_hz: float, chance: float, tests: int, rounding: float,
-    swept: bool,
-) -> Iterator[_Candidate]:  # fmt: skip
+    values: Array, excitation: Excitation, free: float, rate_hz: float, chance: float, tests: int, rounding: float
+) -> Iterator[_Candidate]:
     """Lines of all parts whose chance over all `tests` is below `chance`, and that the excitation does not show.
 
     `rounding` is the power of a line below which there are only the digits of numbers.
@@ -214,11 +219,11 @@ def _candidates(
             cut = slice(k * each, (k + 1) * each)
             lines = _lines(power, chance / tests, free)
             lines = [(line, max(p, _chance_elsewhere(powers, k, line))) for line, p in lines]
-            moved = [periodogram(one[cut]) for one in excitation] if lines else []
+            moved = [periodogram(np.asarray(one[cut])) for one in excitation.signals] if lines else []
             own = [dict(_lines(one, KNOWN, 1.0)) for one in moved]
             for line, p in lines:
                 shown = any(near in found for found in own for near in range(line - GAP, line + GAP + 1))
-                shown |= swept and any(one[line] > SWEPT * one.max() for one in moved)
+                shown |= excitation.swept and any(one[line] > SWEPT * one.max() for one in moved)
                 if p * tests < chance and not shown:
                     width = rate_hz / each
                     yield _Candidate(cut.start, cut.stop, line * width, width, float(min(1.0, p * tests)))

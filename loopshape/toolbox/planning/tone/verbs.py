@@ -21,7 +21,7 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.signals import has_instrument, moved_signal
 from loopshape.identify.spectra.transforms import measured_period
 from loopshape.toolbox.planning.tone.nouns import Tones
-from loopshape.toolbox.planning.tone.tones import CHANCE, SHORTEST, Period, tones_of, without_periods
+from loopshape.toolbox.planning.tone.tones import CHANCE, SHORTEST, Excitation, Period, tones_of, without_periods
 from loopshape.verbs.files import read
 
 
@@ -67,10 +67,11 @@ def tones_in(run: Run, recording: Recording, channels: Sequence[str] = (), chanc
     signals = {c: (recording.signal(c), c) for c in channels} or _channels(run, recording)
     period = _period(run, recording)
     swept = recording.info.kind == "sweep" or (period is None and any(is_sweep(x) for x in known))
+    excitation = Excitation(known, period, swept)
     return [
         tones_of(
-            signal, recording.rate_hz, known=known, period=period, chance=chance, recording=recording.info.name,
-            swept=swept, closed_loop=recording.info.closed_loop, **_named(name, column),
+            signal, recording.rate_hz, excitation=excitation, chance=chance, recording=recording.info.name,
+            closed_loop=recording.info.closed_loop, **_named(name, column),
         )
         for name, (signal, column) in signals.items()
     ]  # fmt: skip
