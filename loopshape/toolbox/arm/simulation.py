@@ -175,10 +175,7 @@ def controllers(e: Experiment) -> kernel.Controllers:
     loops = e.loops
     signals = [(loop.name, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in loops]
     plain = kernel.plain_controllers(*(sections(loop, e) for loop in loops))
-    made = tuple(
-        loop.schedule.tables(signals) if loop.schedule else none
-        for loop, none in zip(loops, plain.schedules, strict=True)
-    )
+    made = tuple(loop.schedule.tables(signals) if loop.schedule else plain.schedules[0] for loop in loops)
     scheduled = np.array([loop.schedule is not None for loop in loops])
     return plain._replace(schedules=made, scheduled=scheduled, decoupling=decoupling_matrix(loops))
 

@@ -159,7 +159,7 @@ class ServoAxis:
 
     def _run(self, e: Experiment, changes: dict[str, float], states: bool) -> Recording:
         vector = self.parameters.vector(changes | dict(e.parameters))
-        sensor = (self._value(vector, n) for n in ("position_noise_m", "position_step_m", "range_m"))
+        sensor = np.array([self._value(vector, n) for n in ("position_noise_m", "position_step_m", "range_m")])
         start = float(e.operating_point.get("position_m", e.references[0, 0]))
         controller = e.loops[0].controller
         if controller is None or controller.rate_hz != e.rate_hz:
@@ -169,7 +169,7 @@ class ServoAxis:
         out = np.empty((e.samples, len(kernel.LOGGED) if states else kernel.MEASURED))
         inputs = kernel.Inputs(reference, injected, _INJECTIONS[e.injection], start_state(e.seed))
         ended, n = kernel.run(
-            kernel.under_way(constants(vector), start, 0.0, 0.0), kernel.Sensor(*sensor), sections,
+            kernel.under_way(constants(vector), start, 0.0, 0.0), sensor, sections,
             np.zeros((len(sections), 2)), inputs, 1.0 / e.rate_hz, motion.STEPS, out,
         )  # fmt: skip
         return Recording(_info(e, ended, n), e.rate_hz, _columns(e, out[:n], n))

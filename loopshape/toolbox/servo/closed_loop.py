@@ -30,14 +30,6 @@ class Mechanism(NamedTuple):
     m: Array
 
 
-class Sensor(NamedTuple):
-    """Rms noise, resolution (0: none) and range of the position in m."""
-
-    noise_m: float
-    step_m: float
-    range_m: float
-
-
 class Inputs(NamedTuple):
     """What goes in: reference in m and what is injected (n,), where that enters, and the noise's state."""
 
@@ -56,12 +48,12 @@ def under_way(c: Array, position: float, velocity: float, force: float) -> Mecha
 
 @compiled
 def run(
-    axis: Mechanism, sensor: Sensor, sections: Array, controller_state: Array, inputs: Inputs, tick_s: float,
+    axis: Mechanism, sensor: Array, sections: Array, controller_state: Array, inputs: Inputs, tick_s: float,
     steps: int, out: Array,
 ) -> tuple[int, int]:  # fmt: skip
-    """Simulate as many ticks as the reference has; fills `out` (n, 2 or 5) by `LOGGED`.
+    """Simulate as many ticks as the reference has, axis and controller in place; fills `out` (n, 2 or 5) by `LOGGED`.
 
-    The axis and `controller_state` move in place. Gives why it ended and how many ticks are logged.
+    `sensor` holds noise, resolution (0: none) and range in m. Gives why it ended and how many ticks are logged.
     """
     c, x, m = axis
     reference, injected, injection, random_state = inputs
@@ -69,15 +61,15 @@ def run(
     slack, has_spare = 0.0, False
     for tick in range(reference.shape[0]):
         position = motion.seen(c, x, m)
-        if sensor.noise_m > 0.0:
+        if sensor[0] > 0.0:
             if has_spare:
                 draw, has_spare = slack, False
             else:
                 random_state, draw, slack = noise.normal_pair(random_state)
                 has_spare = True
-            position += sensor.noise_m * draw
-        if sensor.step_m > 0.0:
-            position = sensor.step_m * round(position / sensor.step_m)
+            position += sensor[0] * draw
+        if sensor[1] > 0.0:
+            position = sensor[1] * round(position / sensor[1])
         force = injected[tick]
         if injection != CONTROL:
             error = reference[tick] - position
@@ -91,7 +83,7 @@ def run(
         motion.advance(c, x, m, motion.pushed(c, m, commands, tick, tick_s), tick_s, steps)
         if not math.isfinite(x[motion.DRIVE] + x[motion.DRIVE_V]):
             return NOT_FINITE, tick + 1
-        if abs(x[motion.DRIVE]) > sensor.range_m:
+        if abs(x[motion.DRIVE]) > sensor[2]:
             return LEFT_RANGE, tick + 1
     return COMPLETE, reference.shape[0]
 

@@ -148,8 +148,7 @@ def _dry(p: Port, s: Scales) -> Iterator[EffectForm]:
             ("grows with the load, either higher at break-away", (share, fall, stuck), "Duclusaud 2024, M4"),
             ("grows with the load and its square, more when driven back", (back, square), "after Duclusaud 2024, M6"),
         ):
-            found = _form(kind, p.name, form, p.unit, (level, soft, load, *more), source=source)
-            yield replace(found, extends=kind)
+            yield replace(_form(kind, p.name, form, p.unit, (level, soft, load, *more), source=source), extends=kind)
 
 
 def _port(p: Port, s: Scales) -> Iterator[EffectForm]:

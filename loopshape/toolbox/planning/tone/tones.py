@@ -38,10 +38,6 @@ INDEPENDENT = 1.0 / (1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0))
 #: parts of the record that are looked at, samples of the shortest, and samples at once
 PARTS, SHORTEST, LONGEST = (1, 2, 4, 8, 16), 512, 1 << 20
 CHANCE, MOST = 0.01, 20
-#: amplitude of a line, relative to the largest value, below which it is rounding
-ROUNDING = 1e-12
-#: how often tones and the mean over periods are taken in turn
-PASSES = 4
 #: power of a sweep's line, relative to its strongest of the same part, from which on it may have caused a tone there
 SWEPT = 1e-4
 #: chance below which the excitation is taken to have a line of its own
@@ -154,14 +150,14 @@ def _tones(
     period = excitation.period
     alone, free = _without_periods(values, period, offset)
     accepted: list[_Candidate] = []
-    rounding = (ROUNDING * float(np.abs(values).max())) ** 2
+    rounding = (1e-12 * float(np.abs(values).max())) ** 2
     candidates = _candidates(alone, excitation, free, rate_hz, chance, tests, rounding)
     for one in sorted(candidates, key=lambda c: c.chance):
         if len(accepted) < MOST and not any(one.same_as(other) for other in accepted):
             accepted.append(one)
     fits: list[ToneFit] = []
     rest = without_line(alone)
-    for _ in range(PASSES if period is not None else 2 if len(accepted) > 1 else 1):
+    for _ in range(4 if period is not None else 2 if len(accepted) > 1 else 1):
         for k, one in enumerate(accepted):
             part = rest[one.start : one.stop]
             if len(fits) > k:
