@@ -65,9 +65,9 @@ EXCEPT = {
 }
 #: read again with the loop of n channels and its one reading
 LATER = (
-    "loop/verdict.py", "loop/margin/", "loop/matrix/", "loop/baseline.py", "data/control/loop.py",
+    "loop/verdict.py", "loop/margin/", "loop/matrix/", "data/control/loop.py",
     "data/requirement/requirements.py", "data/result/", "view/verdict/", "view/html/verdict_parts.py",
-    "design/several.py", "io/write/requirements.py",
+    "design/several.py",
 )  # fmt: skip
 
 
