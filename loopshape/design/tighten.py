@@ -192,7 +192,7 @@ def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None
     read = spares(p, measure(p, x, {}))
     out = {}
     for name, mine in read.items():
-        sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
+        sign = LIMIT_OF[name].sign
         ends = [m[name].ends for m in verdict.margins.values()]
         bad = np.full(p.points, np.nan)
         bad[slice(None) if points is None else points] = [low if sign > 0.0 else high for low, high in ends]

@@ -229,7 +229,7 @@ class CheckedRun:
     @property
     def passed(self) -> bool | None:
         """Whether all requirements hold and nothing is worse than the baseline."""
-        return self.outcome == "passed" and not self.worse if self.required else None
+        return self.outcome is Outcome.PASSED and not self.worse if self.required else None
 
 
 def check(

@@ -85,7 +85,7 @@ def once(make: Callable[[Problem, Tighten], Made]) -> Callable[[Problem, Tighten
 def required(p: Problem, name: str, tighten: Tighten) -> Array:
     """Limit of a quantity at each operating point, tightened, in its own unit; ratios stay above zero."""
     limit = LIMIT_OF[name]
-    moved = np.asarray(tighten.get(name, 0.0)) * (1.0 if limit.sense == "at_least" else -1.0)
+    moved = np.asarray(tighten.get(name, 0.0)) * limit.sign
     every = p.limits[name] + moved
     return every if limit.unit in ("dB", "deg") else np.maximum(every, LEAST)
 
@@ -103,7 +103,7 @@ def spare_of(name: str, limit: float | Array, room: float | Array) -> Array:
         return deg(room)
     if unit == "dB":
         return np.asarray(np.sign(room) * db(np.exp(np.abs(room))))
-    sign = 1.0 if LIMIT_OF[name].sense == "at_least" else -1.0
+    sign = LIMIT_OF[name].sign
     return np.asarray(sign * np.asarray(limit) * np.expm1(sign * np.asarray(room)))
 
 

@@ -65,10 +65,10 @@ def _sentences(one: CheckedLoop) -> list[Content]:
     """What a loop's verdict comes from: first what fails, then what is open, else what holds."""
     found, points = one.verdict, count(len(one.loops), "operating point")
     said: list[Content] = []
-    for word in ("unstable", "undecided"):
-        names = [name for name, m in found.margins.items() if m.stable == word]
+    for word in (ClosedLoop.UNSTABLE, ClosedLoop.UNDECIDED):
+        names = [name for name, m in found.margins.items() if m.stable is word]
         if names:
-            verb = "is unstable" if word == "unstable" else "is neither proven stable nor unstable"
+            verb = "is unstable" if word is ClosedLoop.UNSTABLE else "is neither proven stable nor unstable"
             said.append(f"The closed loop {verb} at {_few(names)}.")
     for outcome, head in (("failed", "Missed"), ("undecided", "Not decided by these data")):
         lines = [line for line in found.lines if line.outcome == outcome]
@@ -243,8 +243,7 @@ def _worst(found: Verdict, limit: Limit) -> str:
     named = _asked(found, limit)
     if named is not None:
         return named.recording
-    sense = 1.0 if limit.sense == "at_least" else -1.0
-    values = {name: sense * m[limit.name].value for name, m in found.margins.items()}
+    values = {name: limit.sign * m[limit.name].value for name, m in found.margins.items()}
     values = {name: value for name, value in values.items() if not np.isnan(value)}
     return min(values, key=lambda name: values[name], default="") if len(set(values.values())) > 1 else ""
 

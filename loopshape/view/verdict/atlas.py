@@ -53,8 +53,8 @@ class Row:
     peak_db: float
     peak_hz: float
     interval: tuple[float, float] | None
-    outcome: str
-    stable: str
+    outcome: Outcome
+    stable: ClosedLoop
 
 
 @styled()
@@ -125,9 +125,10 @@ def _heat(figure: Figure, ax: Axes, rows: Sequence[Row], limit_db: float | None)
         for low, high in [] if limit_db is None else beyond(edges, values, limit_db):
             frame: dict[str, Any] = {"fill": False, "edgecolor": "black", "linewidth": 1.0, "zorder": 3.0}
             ax.add_patch(Rectangle((low, k - 0.46), high - low, 0.92, gid="beyond the limit", **frame))
-        if row.stable != "stable":
+        if row.stable is not ClosedLoop.STABLE:
             face: dict[str, Any] = {"facecolor": "none", "edgecolor": "0.25", "linewidth": 0.0, "zorder": 2.5}
-            ax.axhspan(k - 0.46, k + 0.46, hatch="////" if row.stable == "unstable" else "....", gid=row.stable, **face)
+            hatch = "////" if row.stable is ClosedLoop.UNSTABLE else "...."
+            ax.axhspan(k - 0.46, k + 0.46, hatch=hatch, gid=row.stable, **face)
     ax.set_facecolor("0.86")
     ax.grid(False)
     assert mesh is not None
@@ -212,9 +213,9 @@ def _peaks(ax: Axes, rows: Sequence[Row], worst: int) -> None:
     beside = ax.get_yaxis_transform()
     for k, row in enumerate(rows):
         mark = MARKS[row.outcome] | {"linestyle": "none", "zorder": 4.0, "clip_on": False}
-        on_map = mark | {"color": "black"} | ({"markeredgecolor": "white"} if row.outcome == "passed" else {})
-        on_map |= {"markersize": 4.5, "markeredgewidth": 1.6 if row.outcome == "failed" else 0.7}
-        if row.outcome == "undecided":
+        on_map = mark | {"color": "black"} | ({"markeredgecolor": "white"} if row.outcome is Outcome.PASSED else {})
+        on_map |= {"markersize": 4.5, "markeredgewidth": 1.6 if row.outcome is Outcome.FAILED else 0.7}
+        if row.outcome is Outcome.UNDECIDED:
             on_map |= {"markeredgecolor": "black", "markerfacecolor": "white"}
         ax.plot(float(np.clip(row.peak_hz, low, high)), k, scalex=False, scaley=False, gid="peak", **on_map)
         ax.plot(1.02, k, transform=beside, scalex=False, scaley=False, gid=row.outcome, **mark)
@@ -229,7 +230,7 @@ def _peaks(ax: Axes, rows: Sequence[Row], worst: int) -> None:
 
 
 def _peak_text(row: Row) -> str:
-    if row.stable != "stable":
+    if row.stable is not ClosedLoop.STABLE:
         return {"unstable": "unstable"}.get(row.stable, f"{number3(row.peak_db, 2)}, stability undecided")
     ends = "" if row.interval is None else f" ({number3(row.interval[0], 2)} to {number3(row.interval[1], 2)})"
     return f"{number3(row.peak_db, 2)}{ends}"
@@ -273,7 +274,7 @@ def _point_map(loops: Sequence[Loop], verdict: Verdict, line: RequirementResult,
     found = [(loop, margins_of(loop, k, verdict)) for k, loop in enumerate(loops)]
     known = [(loop, m) for loop, m in found if m is not None]
     xs, ys = (sorted({loop.plant.operating_point[key] for loop in loops}) for key in keys)
-    sign = 1.0 if LIMIT_OF[line.quantity].sense == "at_least" else -1.0
+    sign = LIMIT_OF[line.quantity].sign
     slack = np.array([sign * (m[line.quantity].value - line.required) for _, m in known])
     largest = float(np.max(np.abs(slack[np.isfinite(slack)]), initial=1e-12))
     for (loop, margins), room in zip(known, slack, strict=True):
@@ -287,7 +288,7 @@ def _point_map(loops: Sequence[Loop], verdict: Verdict, line: RequirementResult,
     limit = LIMIT_OF[line.quantity]
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     sense = "≥" if sign > 0.0 else "≤"
-    text = f"{limit.label.split(' (')[0]} {sense} {number(line.required)}{unit}"
+    text = f"{limit.short} {sense} {number(line.required)}{unit}"
     ax.set_title(text, loc="left", fontsize=7.5, pad=2.5)
     return ax
 
@@ -300,17 +301,17 @@ def _cell(ax: Axes, at: tuple[int, int], margins: Margins, line: RequirementResu
     with mpl.rc_context({"hatch.linewidth": 0.5}):
         ax.add_patch(Rectangle((at[0] - 0.5, at[1] - 0.5), 1.0, 1.0, gid=outcome, in_layout=False, **look))
     value = margins[line.quantity].value
-    text = "unst." if margins.stable == "unstable" else number3(value)
+    text = "unst." if margins.stable is ClosedLoop.UNSTABLE else number3(value)
     box = None if _HATCHES[outcome] is None else {"facecolor": colour, "edgecolor": "none", "pad": 0.6}
     place: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6.5, "in_layout": False}
     ax.text(*at, text, color=ink_on(colour), bbox=box, gid="value", **place)
 
 
-def _colour(outcome: str, room: float) -> str:
+def _colour(outcome: Outcome, room: float) -> str:
     """Colour of a cell whose room (negative: missed) is a share of the largest of its map."""
-    if outcome == "undecided":
+    if outcome is Outcome.UNDECIDED:
         return near_colours(1)[0]
-    if outcome == "failed":
+    if outcome is Outcome.FAILED:
         return missed_colours(_SHADES)[round(max(-room, 0.15) * (_SHADES - 1))]
     return room_colours(_SHADES)[round((1.0 - max(room, 0.0)) * (_SHADES - 1))]
 

@@ -66,7 +66,7 @@ def _comparison(title: str, comparison: Comparison) -> list[str]:
 
 def _margins(verdict: Verdict) -> str:
     shown = [limit for limit in LIMITS if any(_is_known(m[limit.name].value) for m in verdict.margins.values())]
-    columns = ["operating point", "closed loop", *(f"{limit.label.split(' (')[0]} [{limit.unit}]" for limit in shown)]
+    columns = ["operating point", "closed loop", *(f"{limit.short} [{limit.unit}]" for limit in shown)]
     rows = [
         [name, m.stable if m.stable is ClosedLoop.STABLE else stability_text(m), *(_margin(m[x.name]) for x in shown)]
         for name, m in verdict.margins.items()
