@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from loopshape.data.requirement.limits_over import AtPoints as AtPoints
     from loopshape.data.requirement.limits_over import Mask as Mask
     from loopshape.data.requirement.requirements import Requirements as Requirements
-    from loopshape.data.requirement.requirements import SeveralRequirements as SeveralRequirements
     from loopshape.data.requirement.weight import Objective as Objective
     from loopshape.data.requirement.weight import Weight as Weight
     from loopshape.data.response.control_frd import from_control as from_control
@@ -65,18 +64,18 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
+    from loopshape.verbs.chain import interaction as interaction
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.estimates import estimate as estimate
+    from loopshape.verbs.estimates import frf_matrices as frf_matrices
     from loopshape.verbs.files import profiles as profiles
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
     from loopshape.verbs.files import read_requirements as read_requirements
     from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
-    from loopshape.verbs.several import frf_matrices as frf_matrices
-    from loopshape.verbs.several import interaction as interaction
     from loopshape.view.plot import plot as plot
 
     gap: Any  # these three are called, too
@@ -102,7 +101,6 @@ _HOME = {
     "Recording": "data.signal.recording",
     "Requirements": "data.requirement.requirements",
     "Run": "data.signal.run",
-    "SeveralRequirements": "data.requirement.requirements",
     "Tuning": "design.tune",
     "Verdict": "data.result.verdict",
     "Weight": "data.requirement.weight",
@@ -115,11 +113,11 @@ _HOME = {
     "fit": "verbs.chain",
     "fixed": "data.control.fixed",
     "frf": "verbs.chain",
-    "frf_matrices": "verbs.several",
+    "frf_matrices": "verbs.estimates",
     "frfs": "verbs.chain",
     "from_control": "data.response.control_frd",
     "gain": "data.control.shorthand",
-    "interaction": "verbs.several",
+    "interaction": "verbs.chain",
     "lead_lag": "data.control.shorthand",
     "low_pass": "data.control.shorthand",
     "notch": "data.control.shorthand",

@@ -30,8 +30,8 @@ from loopshape.identify.frequency_response import estimate_realisations  # noqa:
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.requirements import read_requirements  # noqa: E402
-from loopshape.loop.matrix.several import check_several  # noqa: E402
-from loopshape.loop.verdict import check, loops_of  # noqa: E402
+from loopshape.loop.loops import loops_of  # noqa: E402
+from loopshape.loop.verdict import check  # noqa: E402
 from loopshape.toolbox.arm.arm2 import Arm2  # noqa: E402
 from loopshape.toolbox.arm.dynamics.linear2 import linearise2  # noqa: E402
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
@@ -217,8 +217,8 @@ def together(found: Sequence[Measured], sets: dict[str, list[Controller]]) -> di
     """All loops at once: the angles with the pressures closed as they were, and all four."""
     held, out = sets["plant's own"], {}
     for name, controllers in sets.items():
-        out[f"{name}, angles"] = check_several([m.angles for m in found], controllers[:2], held=held[:2])
-        out[f"{name}, all four"] = check_several([m.four for m in found], controllers, held=held)
+        out[f"{name}, angles"] = check([m.angles for m in found], controllers[:2], recorded_under=held[:2])
+        out[f"{name}, all four"] = check([m.four for m in found], controllers, recorded_under=held)
     return out
 
 

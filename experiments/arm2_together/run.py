@@ -26,7 +26,7 @@ BANDS_HZ = ((0.3, 1.0), (1.0, 1.6), (1.6, 2.8), (2.8, 4.0))
 MATRIX_HZ = (0.4, 1.5)
 STARTS = 2
 #: of the whole plant: four muscles fill for ever, and nothing else grows (the linearisation's poles)
-WHOLE = ls.SeveralRequirements(integrators=4, unstable_poles=0)
+WHOLE = ls.Requirements(integrators=4, unstable_poles=0)
 Weights = Mapping[str, Mapping[str, float]]
 
 

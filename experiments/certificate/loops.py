@@ -16,7 +16,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.smoothing import smoothed
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 
 KINDS = (
     "no integrator", "one integrator", "two integrators", "three integrators", "delay", "unstable pole",

@@ -16,8 +16,8 @@ from loopshape.data.response.interaction import BandVerdict
 from loopshape.data.result.margins import Margins
 from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.matrix.interaction import interaction
+from loopshape.loop.loops import loops_of
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import loops_of
 
 
 def mixed(frf: FRF, W: Array) -> FRF:

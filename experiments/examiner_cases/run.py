@@ -33,8 +33,8 @@ from loops import (  # noqa: E402
 from loopshape.data.control.controller import Block, Controller  # noqa: E402
 from loopshape.data.requirement.requirements import Requirements  # noqa: E402
 from loopshape.data.response.model import TransferFunction  # noqa: E402
+from loopshape.loop.loops import loops_of  # noqa: E402
 from loopshape.loop.stability.stability import closed_loop_stability  # noqa: E402
-from loopshape.loop.verdict import loops_of  # noqa: E402
 
 LOOPS, NOISES = 500, (1e-6, 0.01, 0.03, 0.1)
 STEPS = (0.3, 0.5, 0.7, 0.9, 1.1, 1.4, 2.0, 3.0)

@@ -25,7 +25,8 @@ from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tune import Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check
 from loopshape.view.style import new_figure, png, styled
 
 HERE = Path(__file__).parent

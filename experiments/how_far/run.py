@@ -18,7 +18,8 @@ from loopshape.data.response.model import Fit
 from loopshape.design.tune import tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check
 from loopshape.toolbox.limits import bound as bound_module
 from loopshape.toolbox.limits import bound_regions
 from loopshape.toolbox.limits.bound import bound, excluded

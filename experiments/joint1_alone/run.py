@@ -33,8 +33,9 @@ from loopshape.identify.fit import fit, structure_by_name  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.requirements import read_requirements  # noqa: E402
+from loopshape.loop.loops import loops_of  # noqa: E402
 from loopshape.loop.predict.indicators import recorded_steps  # noqa: E402
-from loopshape.loop.verdict import check, loops_of  # noqa: E402
+from loopshape.loop.verdict import check  # noqa: E402
 from loopshape.toolbox.arm.arm2 import Arm2  # noqa: E402
 from loopshape.toolbox.arm.dynamics.linear2 import Linearisation2, linearise_pairs2  # noqa: E402
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402

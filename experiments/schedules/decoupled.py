@@ -83,7 +83,7 @@ def together(P: ls.FRF) -> tuple[object, ...]:
     C = ls.read_controllers(ROOT / "examples/arm/controller.toml")
     asked = read_requirements(ROOT / "examples/arm/requirements.toml")
     R = [replace(one, structure=()) for one in asked]
-    v = ls.check([P], C, R, together=ls.SeveralRequirements(integrators=2, unstable_poles=0))
+    v = ls.check([P], C, R, together=ls.Requirements(integrators=2, unstable_poles=0))
     (m,) = v.margins.values()
     each = {one.loop: next(iter(one.margins.values())).bandwidth_hz for one in v.each}
     return m.stable, m.disk_margin, each["theta2"], each["p_ab"]

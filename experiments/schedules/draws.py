@@ -15,8 +15,8 @@ import loopshape as ls
 from loopshape.identify.frequency_response import estimate_realisations, estimate_together
 from loopshape.identify.settings import Settings
 from loopshape.io.requirements import read_requirements
+from loopshape.loop.loops import loops_of
 from loopshape.loop.stability.stability import closed_loop_stability
-from loopshape.loop.verdict import loops_of
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure

@@ -36,9 +36,10 @@ from loopshape.design.problem.shifts import Copy, closer, shifted_loops, shifted
 from loopshape.design.search import Goal, initial_point, search, step_within
 from loopshape.design.starts import leaps, random_starts
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
+from loopshape.loop.loops import points_of
 from loopshape.loop.margin.error_rms import error_warnings, of_points
 from loopshape.loop.order import with_orders
-from loopshape.loop.verdict import check, points_of, verdict_from, with_warnings
+from loopshape.loop.verdict import check, verdict_from, with_warnings
 
 #: a block that gains less of the bandwidth than this is not added
 LEAST_GAIN = 0.01

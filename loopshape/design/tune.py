@@ -37,7 +37,8 @@ from loopshape.design.relax import Shortfall, shortfall
 from loopshape.design.search import SearchResult, initial_point
 from loopshape.design.starts import random_starts, settled, tournament
 from loopshape.design.tighten import TightenedSolution, Verifier, norm
-from loopshape.loop.verdict import loops_of, refuse_too_high
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import refuse_too_high
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,8 @@ class Tuning(Plain):
     objective's low lines at the worst operating point, None where it was not asked. `weighted_norm` is the norm of the
     weighted loop that `check` reads, at the worst operating point, and `weighted_norm_interval` its 95 % interval; None
     without weights. `moved` says what a warm start
-    had to leave. `growth` holds what was reached before and after each block that was added.
+    had to leave. `growth` holds what was reached before and after each block that was added, `structure` the blocks
+    that were tuned, with those.
     """
 
     IN_JSON = keys(
@@ -86,6 +88,7 @@ class Tuning(Plain):
     shortfall: Shortfall | None = None
     moved: tuple[str, ...] = ()
     growth: tuple[Grown, ...] = ()
+    structure: tuple[BlockTemplate, ...] = ()
 
     def __repr__(self) -> str:
         """One line: the controller, its lowest bandwidth and what the check says of it."""
@@ -241,6 +244,7 @@ def _tuning(
         shortfall=why,
         moved=moved,
         growth=growth,
+        structure=stage.asked.structure,
     )
 
 

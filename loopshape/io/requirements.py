@@ -8,7 +8,7 @@ from pathlib import Path
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.requirement.profile import Profile
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.io.config_table import read_file, refuse_doubles
 
 FORMAT = "loopshape-requirements/1"
@@ -22,12 +22,14 @@ class RequirementsFile:
     """What a file requires of each loop, and of all together."""
 
     loop: tuple[Requirements, ...]
-    several: SeveralRequirements | None = None
+    several: Requirements | None = None
 
     def __post_init__(self) -> None:
         if not self.loop or not all(one.loop for one in self.loop):
             raise WrongUseError("a requirements file requires nothing", "no [[loop]] with a name", "write one")
         refuse_doubles((one.loop for one in self.loop), "loop", "loops")
+        if self.several is not None:
+            self.several.of_all()
 
 
 def read_requirements(path: Path) -> tuple[Requirements, ...]:
@@ -38,7 +40,7 @@ def read_requirements(path: Path) -> tuple[Requirements, ...]:
     return read_required(path)[0]
 
 
-def read_required(path: Path) -> tuple[tuple[Requirements, ...], SeveralRequirements | None]:
+def read_required(path: Path) -> tuple[tuple[Requirements, ...], Requirements | None]:
     """What a file requires of each loop, and of all together, None where it has no table `[several]`."""
     found = read_file(path, RequirementsFile, FORMAT)
     return found.loop, found.several

@@ -10,7 +10,7 @@ import numpy as np
 from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, from_db
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Limit, Requirements
+from loopshape.data.requirement.requirements import LIMITS, Limit, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Order, SettledBy, Verdict
@@ -66,7 +66,7 @@ def _orders(margins: Margins, loop: Loop, frf: FRF, requirements: Requirements) 
     """What one operating point needs; nothing where it is decided."""
     stability = closed_loop_stability(loop) if margins.stable is ClosedLoop.UNDECIDED else None
     asked = requirements.of(loop.plant.operating_point)
-    limits = [(x, v) for x in asked.limits if (v := getattr(asked, x.name)) is not None]
+    limits = [(x, v) for x in LIMITS if (v := getattr(asked, x.name)) is not None]
     limits = [(x, v) for x, v in limits if point_outcome(margins, x.name, v) is Outcome.UNDECIDED]
     if stability is None and not limits:
         return []

@@ -17,7 +17,7 @@ from loopshape.data.control.block import BlockTemplate
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.control.shorthand import bounded
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
@@ -28,9 +28,10 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
+    from loopshape.data.response.interaction import Interaction
     from loopshape.data.result.prediction import Comparison, Prediction
     from loopshape.data.signal.disturbance import Disturbance
-    from loopshape.design.several import SeveralTuning
+    from loopshape.design.turns import TunedLoops
     from loopshape.loop.predict.remeasured import Remeasured
     from loopshape.view.page.widget import ShapeWidget
 
@@ -119,20 +120,44 @@ def fit(
     return fit_structure(P, chosen, weighting=weighting, band_hz=band_hz, stable=stable)
 
 
+def interaction(
+    P: FRF,
+    loops: Sequence[str] | None = None,
+    controllers: Mapping[str, Controller] | None = None,
+    *,
+    outputs: Sequence[str] | None = None,
+    limit_db: float = -20.0,
+    bands: Sequence[tuple[float, float]] | None = None,
+) -> Interaction:
+    """Coupling between the loops of a matrix FRF, frequency by frequency, with 95 % bounds.
+
+    Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
+    loop meets with the others closed, by `controllers` where those are known, by loop. `outputs` are the loops' rows
+    where names do not tell. Each of the `bands` in Hz (octaves by default) is judged against `limit_db`. Raises
+    WrongUseError for an FRF of a single loop.
+    """
+    from loopshape.identify.matrix.interaction import interaction as interaction_of
+
+    return interaction_of(P, loops, controllers, outputs=outputs, limit_db=limit_db, bands=bands)
+
+
 @overload
 def tune(
     P: Plants, R: Requirements, structure: Sequence[BlockTemplate] | None = None, *, fits: Sequence[Fit] = (),
-    start: Controller | Tuning | None = None, seed: int = 0, starts: int = 16, grow: int = 0, least_gain: float = 0.01,
+    start: Controller | Tuning | Sequence[Controller | Tuning] | None = None, seed: int = 0, starts: int = 16,
+    grow: int = 0, least_gain: float = 0.01,
     disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
 ) -> Tuning: ...  # fmt: skip
 
 
 @overload
 def tune(
-    P: Plants, R: Sequence[Requirements], *, start: Sequence[Controller | Tuning] = (),
-    together: SeveralRequirements | None = None, recorded_under: Sequence[Controller] = (), seed: int = 0,
-    starts: int = 16, watch: Watch | None = None,
-) -> SeveralTuning: ...  # fmt: skip
+    P: Plants, R: Sequence[Requirements], structure: Sequence[BlockTemplate] | None = None, *,
+    fits: Sequence[Fit] = (), start: Controller | Tuning | Sequence[Controller | Tuning] | None = None,
+    together: Requirements | None = None, recorded_under: Sequence[Controller] = (), seed: int = 0, starts: int = 16,
+    grow: int = 0, least_gain: float = 0.01,
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None, watch: Watch | None = None,
+) -> Tuning | TunedLoops: ...  # fmt: skip
 
 
 def tune(
@@ -142,7 +167,7 @@ def tune(
     *,
     fits: Sequence[Fit] = (),
     start: Controller | Tuning | Sequence[Controller | Tuning] | None = None,
-    together: SeveralRequirements | None = None,
+    together: Requirements | None = None,
     recorded_under: Sequence[Controller] = (),
     seed: int = 0,
     starts: int = 16,
@@ -150,7 +175,7 @@ def tune(
     least_gain: float = 0.01,
     disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
     watch: Watch | None = None,
-) -> Tuning | SeveralTuning:
+) -> Tuning | TunedLoops:
     """One controller of a structure for all plants: the largest worst-case bandwidth subject to all requirements.
 
     `structure` (default: that of `R`) is a sequence of blocks, `[ls.gain(), ls.lead_lag(), ls.notch()]`; what they
@@ -163,10 +188,10 @@ def tune(
 
     `disturbance` tells what disturbs the loop, as in `ls.check`: a limit `R.error_rms` is then kept too.
 
-    With a sequence of requirements, one a loop and each with its structure, `P` is a square matrix FRF
+    With requirements of several loops, each with its structure (or `structure` for all), `P` is a square matrix FRF
     (`ls.frf_matrices`) or several, and the loops are tuned in turn, each with the others closed by their latest
-    controllers; `start` then holds controllers to begin from. What comes out is a point that no loop improves on alone.
-    `together` and `recorded_under` are as in `ls.check`; `fits`, `structure` and growth are of one loop alone.
+    controllers; `start` then holds controllers to begin from, and those of loops without requirements stay. What comes
+    out is a point that no loop improves on alone. `together` and `recorded_under` are as in `ls.check`.
 
     Examples
     --------
@@ -179,51 +204,37 @@ def tune(
     >>> [step.order for step in C.growth]
     [1, 3]
     """
-    from loopshape.design.tune import tune as tune_loop
+    from loopshape.design.tune import tune as tune_one
+    from loopshape.design.turns import tune_loops
+    from loopshape.loop.margin.error_rms import refuse_several_disturbed
 
-    if not isinstance(R, Requirements):
-        plants = plants_of(P)
-        if structure is not None or fits or grow or disturbance is not None:
-            raise WrongUseError(
-                "structure, fits, growth and error_rms are of a single loop", f"requirements of {len(R)} loops",
-                "give each loop's requirements its structure",
-            )  # fmt: skip
-        return _tune_several(plants, R, start, together, recorded_under, watch or Unwatched(), seed=seed, starts=starts)
-    if isinstance(start, Sequence):
-        raise WrongUseError("one loop starts from one controller", f"{len(start)} of them", "give its own")
-    plants, R = equivalent_plants(P, R)
-    asked = R if structure is None else replace(R, structure=tuple(structure))
-    asked = replace(asked, structure=bounded(asked.structure, plants))
-    initial = None if start is None else controller_of(start)
-    return tune_loop(
-        plants, asked, tuple(fits), start=initial, seed=seed, starts=starts, grow=grow, least_gain=least_gain,
-        disturbances=point_disturbances(disturbance, plants[0].loop),
-    )  # fmt: skip
-
-
-def _tune_several(
-    plants: tuple[FRF, ...],
-    R: Sequence[Requirements],
-    start: Controller | Tuning | Sequence[Controller | Tuning] | None,
-    together: SeveralRequirements | None,
-    recorded_under: Sequence[Controller],
-    watch: Watch,
-    **search: int,
-) -> SeveralTuning:
-    from loopshape.design.several import tune_several
-
+    asked = [R] if isinstance(R, Requirements) else list(R)
+    asked = asked if structure is None else [replace(one, structure=tuple(structure)) for one in asked]
     initial = [controller_of(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
-    with watch.progress("tune", 2 * len(R)) as step:
-        return tune_several(plants, R, initial, together, held=recorded_under, step=step, **search)
+    if len(initial) > len({one.loop for one in initial}):
+        names = ", ".join(one.loop for one in initial)
+        raise WrongUseError("a search begins at one controller a loop", names, "give each its own")
+    search: dict[str, Any] = {"seed": seed, "starts": starts, "grow": grow, "least_gain": least_gain}
+    loops = [one.loop for one in asked] + [one.loop for one in initial if len(initial) > 1]
+    if len(set(loops)) == 1:
+        plants, one = equivalent_plants(P, asked[0] if together is None else asked[0].with_all(together))
+        one = replace(one, structure=bounded(one.structure, plants))
+        known = point_disturbances(disturbance, plants[0].loop)
+        return tune_one(plants, one, tuple(fits), start=initial[0] if initial else None, disturbances=known, **search)
+    refuse_several_disturbed([one.loop for one in asked], disturbance)
+    with (watch or Unwatched()).progress("tune", 2 * len(asked)) as step:
+        return tune_loops(
+            plants_of(P), asked, initial, together, fits=fits, recorded_under=recorded_under, step=step, **search
+        )
 
 
 def check(
     P: Plants,
-    C: Controller | GainScheduled | Tuning | Sequence[Controller | Tuning],
+    C: Controller | GainScheduled | Tuning | Sequence[Controller | GainScheduled | Tuning],
     R: Requirements | Sequence[Requirements] | None = None,
     *,
     fits: Sequence[Fit] = (),
-    together: SeveralRequirements | None = None,
+    together: Requirements | None = None,
     loops: Sequence[str] | None = None,
     recorded_under: Sequence[Controller] = (),
     disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
@@ -240,8 +251,8 @@ def check(
     at once: each is checked with the others closed (`R`, one a loop), then all `together`: stability by det(I + L), and
     margins for changes of every loop at the same time. `loops` are those that are closed (default: all of the matrix);
     `recorded_under` are the controllers of the loops that were recorded: their count tells the plant's unstable poles
-    where nothing declares them. The verdict's `each` is that of each loop. Raises WrongUseError for a loop without a
-    controller.
+    where nothing declares them. The verdict's `each` is that of each loop. One controller in a list is one loop. Raises
+    WrongUseError for a loop without a controller.
 
     `disturbance` tells what disturbs a single loop: a run (or its folder) with recordings of the closed loop that
     nothing excites, under a controller that it knows, or `ls.Disturbance`. Each operating point's `error_rms` is then
@@ -256,22 +267,23 @@ def check(
     >>> ls.check(P, C, ls.Requirements(modulus_margin=0.5, unstable_poles=0)).passed
     True
     """
-    from loopshape.loop.matrix.several import check_several
-    from loopshape.loop.verdict import check as check_loop
+    from loopshape.loop.margin.error_rms import refuse_several_disturbed
+    from loopshape.loop.verdict import check as check_loops
 
-    if isinstance(C, Controller | GainScheduled | Tuning):
-        controller = C if isinstance(C, GainScheduled) else controller_of(C)
-        if isinstance(R, Sequence):
-            raise WrongUseError("one controller is checked against the requirements of one loop", f"{len(R)} of them")
-        plants, asked_one = equivalent_plants(P, Requirements(controller.loop) if R is None else R)
-        disturbed = point_disturbances(disturbance, plants[0].loop)
-        return check_loop(plants, controller, asked_one, tuple(fits), disturbances=disturbed)
-    if disturbance is not None:
-        raise WrongUseError("the rms of an error is predicted for one loop", f"{len(C)} controllers", "check one alone")
-    asked = (R,) if isinstance(R, Requirements) else tuple(R or ())
-    return check_several(
-        plants_of(P), [controller_of(one) for one in C], asked, together, loops=loops, held=recorded_under
-    )
+    given = C if isinstance(C, Sequence) else (C,)
+    own = [one if isinstance(one, GainScheduled) else controller_of(one) for one in given]
+    asked = [R] if isinstance(R, Requirements) else list(R or ())
+    if len(own) == 1 and len(asked) < 2:
+        plants, one = equivalent_plants(P, asked[0] if asked else Requirements(own[0].loop))
+        asked = [one]
+    else:
+        plants = plants_of(P)
+        refuse_several_disturbed(loops or [one.loop for one in own], disturbance)
+    disturbed = point_disturbances(disturbance, plants[0].loop if loops is None else loops[0])
+    return check_loops(
+        plants, own, asked, tuple(fits), together=together, closed=loops, recorded_under=recorded_under,
+        disturbances=disturbed,
+    )  # fmt: skip
 
 
 def point_disturbances(
@@ -301,7 +313,7 @@ def shape(
     out: str | Path = "shape.html",
     *,
     fits: Sequence[Fit] = (),
-    together: SeveralRequirements | None = None,
+    together: Requirements | None = None,
 ) -> Path: ...
 
 
@@ -323,7 +335,7 @@ def shape(
     out: str | Path | None = "shape.html",
     *,
     fits: Sequence[Fit] = (),
-    together: SeveralRequirements | None = None,
+    together: Requirements | None = None,
 ) -> Path | ShapeWidget:
     """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
 
@@ -349,27 +361,32 @@ def shape(
 
     plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     required = (R,) if isinstance(R, Requirements) else tuple(R or ())
-    if isinstance(C, Sequence):
-        loops = SeveralLoops(plants, required, together).shaped(C)
+    own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,)) if one is not None]
+    if len(own) > 1:
+        loops = SeveralLoops(plants, required, together).shaped(own)
     else:
-        own = None if C is None else controller_of(C)
-        loops = [shaped(plants, own, required[0] if required else None, tuple(fits))]
+        one = (*required, None)[0] if together is None else (*required, Requirements())[0].with_all(together)
+        loops = [shaped(plants, own[0] if own else None, one, tuple(fits))]
     if out is None:
         return notebook_widget(loops, "Shape")
     write_page(Path(out), loops, "Shape")
     return Path(out)
 
 
-def predict(P: Plants, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0) -> tuple[Prediction, ...]:
+def predict(
+    P: Plants, C: Controller | Tuning | Sequence[Controller | Tuning], *, fits: Sequence[Fit] = (), seed: int = 0
+) -> tuple[Prediction, ...]:
     """S, T and the step of the closed loop under a controller that has not run yet, at each operating point.
 
-    With intervals from the FRF's error; steps need fits. Same seed, same draws. Refuses a negative seed.
+    With intervals from the FRF's error; steps need fits. Same seed, same draws. Of several controllers, one a loop of a
+    matrix FRF, each loop is predicted with the others closed. Refuses a negative seed.
     """
     if seed < 0:
         raise WrongUseError("seed must be 0 or above", f"{seed}")
-    from loopshape.loop.predict.prediction import predict as predict_loop
+    from loopshape.loop.predict.prediction import predict as predict_loops
 
-    return tuple(predict_loop(plants_of(P), controller_of(C), tuple(fits), seed=seed))
+    own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,))]
+    return tuple(predict_loops(plants_of(P), own, tuple(fits), seed=seed))
 
 
 @overload

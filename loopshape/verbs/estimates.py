@@ -15,7 +15,6 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.settings import Settings, settings_of
 from loopshape.verbs.files import read
-from loopshape.verbs.several import matrices_of
 from loopshape.verbs.watch import Unwatched, Watch
 
 
@@ -83,6 +82,37 @@ def estimate(
     if alone_here:
         watch.warn(warnings)
     return Estimates(tuple(frfs), tuple(matrices), tuple(warnings), tuple(x for x in looked if not x.warning))
+
+
+def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
+    """The plant's matrix FRF (nf, ny, nu) at each operating point whose recordings excite two loops or more.
+
+    `settings` as in `frfs`. Raises BadSignalError for a run without such an operating point.
+    """
+    from loopshape.identify.frequency_response import excited_recordings
+
+    whole = run if isinstance(run, Run) else read(run)
+    return tuple(matrices_of(whole, excited_recordings(whole), settings_of(settings), Unwatched()))
+
+
+def matrices_of(run: Run, recordings: Sequence[Recording], settings: Settings, watch: Watch) -> list[FRF]:
+    """The plant's matrix from these recordings of a run, at each operating point."""
+    from loopshape.identify.groups import matrices
+    from loopshape.identify.matrix.matrix import estimate_matrix
+
+    groups = matrices([r for r in recordings if r.info.ended_early is None])
+    if not groups:
+        raise BadSignalError(
+            "no operating point of the run has recordings that excite two loops",
+            ", ".join(f"{r.info.name}: {'+'.join(r.info.excited)}" for r in recordings),
+            "excite each loop in a recording of its own, or several at once (excitations in a study)",
+        )
+    found = []
+    with watch.progress("matrices", len(groups)) as step:
+        for group in groups:
+            found.append(estimate_matrix(run, group, settings))
+            step(found[-1].loop)
+    return found
 
 
 def _single(

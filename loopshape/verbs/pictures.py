@@ -156,10 +156,11 @@ def draw_several(folder: Path, found: MatrixCheck) -> list[str]:
     from loopshape.view.verdict.several import several_page
 
     drawn, verdict = [], found.verdict
-    for (recording, matrix), tail in zip(found.matrices.items(), _tails(len(found.matrices)), strict=True):
+    for loop, tail in zip(found.loops, _tails(len(found.loops)), strict=True):
+        recording = loop.plant.recording
         each = {one.loop: one.margins[recording] for one in verdict.each}
-        page = several_page(matrix, verdict.together[recording], each, found.several)
-        drawn += _saved(folder, [(f"several_{'+'.join(matrix.names)}{tail}", page)])
+        page = several_page(loop, verdict.together[recording], each, found.together)
+        drawn += _saved(folder, [(f"several_{'+'.join(loop.names)}{tail}", page)])
     return drawn
 
 

@@ -29,14 +29,13 @@ from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.predict.remeasured import Remeasured
 from loopshape.verbs import chain
 from loopshape.verbs.files import read
-from loopshape.verbs.several import interaction
 from loopshape.verbs.watch import Unwatched, Watch
 from loopshape.view.verdict.junit import junit
 from loopshape.view.verdict.markdown import markdown
 
 if TYPE_CHECKING:
     from loopshape.data.response.interaction import Interaction
-    from loopshape.design.several import SeveralTuning
+    from loopshape.design.turns import TunedLoops
 
 
 def fit(
@@ -79,7 +78,7 @@ def interactions(
     found = []
     for one in read_several_loops(run):
         mine = {c.loop: c for c in closing if c.loop in (loops or one.loop.split("+"))}
-        found.append(interaction(one, loops, mine, **options))
+        found.append(chain.interaction(one, loops, mine, **options))
     return found
 
 
@@ -93,7 +92,7 @@ class TunedRun:
     tunings: tuple[Tuning, ...]
     missed: str
     profile: Profile | None = None
-    turns: SeveralTuning | None = None
+    turns: TunedLoops | None = None
 
 
 def tune(
@@ -114,12 +113,8 @@ def tune(
 
     Each by itself, `each` called with it as soon as it is tuned, or with `matrix` in turn with the others closed; a
     profile then limits each with the others closed. Refuses a file to `start` from without any of these loops, and with
-    `matrix` what is of single loops alone.
+    `matrix` a diagram and a disturbance.
     """
-    if matrix and grow:
-        raise WrongUseError(
-            "structures grow for one loop at a time", f"--grow {grow} with --matrix", "grow each loop without --matrix"
-        )
     given, together = read_required(require) if matrix else (read_requirements(require), None)
     requirements, chosen = joined(profile, given)
     initial = _to_start(start, [one.loop for one in requirements])
@@ -130,16 +125,18 @@ def tune(
             each(tuning)
         return TunedRun(tuple(tunings), _missed(tunings), chosen)
     if diagram is not None:
-        raise WrongUseError("a diagram is tuned at one block", "several loops at once", "leave --matrix out")
-    if disturbance is not None:
-        raise WrongUseError("the rms of an error is kept by one loop", "several loops at once", "leave --matrix out")
-    search.pop("least_gain", None)  # of growth
-    frfs, under = read_several_loops(run), recorded_under(run)
-    turns = chain.tune(
-        frfs, requirements, start=[*initial.values()], together=together, recorded_under=under, watch=watch, **search
-    )
-    missed = "" if turns.feasible else "the loops do not meet all requirements together"
-    return TunedRun(tuple(turns.tunings.values()), missed, chosen, turns)
+        raise WrongUseError(
+            "a diagram closes its other loops itself, and is tuned at its one open block", "--matrix and a diagram",
+            "leave --matrix out",
+        )  # fmt: skip
+    found = chain.tune(
+        read_several_loops(run), requirements, start=[*initial.values()], together=together,
+        recorded_under=recorded_under(run), disturbance=disturbance, grow=grow, watch=watch, **search,
+    )  # fmt: skip
+    if isinstance(found, Tuning):
+        return TunedRun((found,), _missed([found]), chosen)
+    missed = "" if found.feasible else "the loops do not meet all requirements together"
+    return TunedRun(tuple(found.tunings.values()), missed, chosen, found)
 
 
 def _alone(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,10 +12,10 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.block import Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.loop.matrix.several import loop_matrices, plants_met, unstable_poles_met
+from loopshape.loop.loops import closed_loops, equivalent_plants, matrix_loops, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page
 from loopshape.view.page.payload import ClosedLoops, ShapingSession
@@ -49,21 +49,21 @@ class SeveralLoops:
 
     frfs: tuple[FRF, ...]
     requirements: tuple[Requirements, ...] = ()
-    together: SeveralRequirements | None = None
+    together: Requirements | None = None
     recorded_under: tuple[Controller, ...] = ()
 
     def shaped(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
         """Each loop on the plant that it meets while the others are closed by these controllers."""
         names = [one.loop for one in controllers]
-        together = self.together or SeveralRequirements()
-        matrices, _ = loop_matrices(self.frfs, controllers, together, loops=names, held=self.recorded_under)
-        return [self._one(own, controllers, matrices) for own in controllers]
+        closed = closed_loops(self.frfs, controllers, names, self.recorded_under)
+        loops, _ = matrix_loops(closed, (self.together or Requirements()).of_all())
+        return [self._one(own, controllers, loops) for own in controllers]
 
-    def _one(self, own: Controller, controllers: Sequence[Controller], matrices: Mapping[str, Loop]) -> ShapingSession:
+    def _one(self, own: Controller, controllers: Sequence[Controller], loops: Sequence[Loop]) -> ShapingSession:
         required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
-        plants = plants_met(own.loop, matrices)
+        plants = equivalent_plants(own.loop, loops)
         rest = tuple(one for one in controllers if one is not own)
-        others = ClosedLoops(rest, unstable_poles_met(own.loop, matrices, required))
+        others = ClosedLoops(rest, unstable_poles_met(own.loop, loops, required))
         return ShapingSession(plants, own, required, (), check(plants, own, others.of_plant(required)), others)
 
 

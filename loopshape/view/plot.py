@@ -18,7 +18,7 @@ from loopshape.data.response.interaction import Interaction
 from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 from loopshape.view.plots import frequency
 from loopshape.view.plots import interaction as meetings
 from loopshape.view.plots import loops as pages

@@ -58,7 +58,7 @@ def test_gains_just_inside_and_outside(share, stable):
 @pytest.mark.long
 def test_a_check_passes_each_loop_and_fails_the_pair():
     required = [ls.Requirements(name, gain_margin_db=6.0, phase_margin_deg=45.0, modulus_margin=0.6) for name in "ab"]
-    wanted = ls.SeveralRequirements(disk_margin=0.5, integrators=0, unstable_poles=0)
+    wanted = ls.Requirements(disk_margin=0.5, integrators=0, unstable_poles=0)
     found = ls.check([frf_of(F, satellite(F), loop="a+b")], BOTH, required, together=wanted)
     for verdict in found.each:
         assert verdict.passed

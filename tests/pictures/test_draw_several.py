@@ -6,22 +6,21 @@ from conversions import TWO_PI, db
 from several_cases import frf_of, gain
 
 import loopshape as ls
-from loopshape.loop.matrix.several import loop_matrices
+from loopshape.loop.verdict import check_loops
 from loopshape.view.verdict.several import determinant, disk_margins, loci, several_page, singular_values, summary
 
 F = np.geomspace(0.05, 50.0, 150)
 S = 1j * TWO_PI * F
 CONTROLLERS = [gain("theta1"), gain("theta2")]
-WISHED = ls.SeveralRequirements(disk_margin=0.6, sensitivity_peak_db=8.0, complementary_peak_db=6.0)
+WISHED = ls.Requirements(disk_margin=0.6, sensitivity_peak_db=8.0, complementary_peak_db=6.0)
 
 
 def case(units):
     G = np.array([[1.0, 0.4], [-0.4, 1.0]]) * (5.0 / (S * (0.02 * S + 1.0)))[:, None, None]
     frf = frf_of(F, G, 0.02, units=units, loop="theta1+theta2")
-    required = WISHED if units is None else ls.SeveralRequirements(disk_margin=0.6, modulus_margin=0.4)
-    verdict = ls.check([frf], CONTROLLERS, together=required)
-    matrices, _ = loop_matrices([frf], CONTROLLERS, required)
-    return matrices["exact"], verdict, required
+    required = WISHED if units is None else ls.Requirements(disk_margin=0.6, modulus_margin=0.4)
+    verdict, (loops,) = check_loops([frf], CONTROLLERS, together=required)
+    return loops, verdict, required
 
 
 @pytest.fixture(scope="module")

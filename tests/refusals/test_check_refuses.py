@@ -104,7 +104,8 @@ def test_a_band_without_lines():
 
 
 def test_a_matrix_instead_of_one_loop():
-    assert "with several" in refusal(lambda: ls.check([frf_of(outputs=2)], under_gain(), WISHED))
+    text = refusal(lambda: ls.check([frf_of(outputs=2)], under_gain(), WISHED))
+    assert "each loop needs one output" in text
 
 
 def test_lines_above_half_the_controllers_rate():

@@ -8,7 +8,6 @@ from run_files import read_required
 from several_cases import RATE_HZ, frf_of, gain
 
 import loopshape as ls
-from loopshape.loop.matrix.several import check_several
 
 F = np.geomspace(0.01, 100.0, 100)
 G = np.array([[1.0, 0.3], [-0.3, 1.0]]) * (4.0 / (TWO_PI * 1j * F))[:, None, None]
@@ -20,45 +19,40 @@ def frf(**fields):
 
 
 def test_no_matrix():
-    with pytest.raises(ls.errors.WrongUseError, match="there is no matrix FRF"):
-        check_several([], BOTH)
+    with pytest.raises(ls.errors.WrongUseError, match=r"P of ls\.check must hold one at least"):
+        ls.check([], BOTH)
 
 
 def test_a_loop_without_a_controller():
     with pytest.raises(ls.errors.WrongUseError, match=r"no controller for b.*controllers of a.*left out stay open"):
-        check_several([frf()], BOTH[:1])
-
-
-def test_one_loop_alone():
-    with pytest.raises(ls.errors.WrongUseError, match=r"several loops are two at least.*loopshape check"):
-        check_several([frf()], BOTH, loops=["a"])
+        ls.check([frf()], BOTH[:1])
 
 
 def test_requirements_of_a_loop_that_is_not_closed():
     with pytest.raises(ls.errors.WrongUseError, match=r"requirements are of no loop that is closed.*c.*loops: a, b"):
-        check_several([frf()], BOTH, [ls.Requirements("c", modulus_margin=0.5)])
+        ls.check([frf()], BOTH, [ls.Requirements("c", modulus_margin=0.5)])
 
 
 def test_another_rate():
     slow = [ls.Controller(own.loop, own.blocks, 0.5 * RATE_HZ) for own in BOTH]
     with pytest.raises(ls.errors.WrongUseError, match=r"have one rate; received 500000 Hz, 1e\+06 Hz"):
-        check_several([frf()], slow)
+        ls.check([frf()], slow)
 
 
 def test_matrices_of_one_recording_twice():
     with pytest.raises(ls.errors.WrongUseError, match="two FRFs of one loop come from the same recording"):
-        check_several([frf(), frf()], BOTH)
+        ls.check([frf(), frf()], BOTH)
 
 
 def test_singular_values_where_the_outputs_have_different_units():
     mixed = frf(units=["rad", "bar"])
-    found = check_several([mixed], BOTH)
+    found = ls.check([mixed], BOTH)
     assert np.isnan(found.margins["exact"].sensitivity_peak_db)
     assert any("different units" in text for text in found.warnings)
     with pytest.raises(
         ls.errors.WrongUseError, match=r"not defined where outputs have different units.*modulus_margin"
     ):
-        check_several([mixed], BOTH, several=ls.SeveralRequirements(sensitivity_peak_db=6.0))
+        ls.check([mixed], BOTH, together=ls.Requirements(sensitivity_peak_db=6.0))
 
 
 def test_a_plant_that_is_not_square():
@@ -69,23 +63,21 @@ def test_a_plant_that_is_not_square():
 @pytest.mark.parametrize(
     ("fields", "words"),
     [
-        ({"disk_margin": 2.5}, "disk_margin of several loops must not exceed 2"),
-        ({"modulus_margin": 1.5}, "modulus_margin of several loops must not exceed 1"),
-        ({"sensitivity_peak_db": np.inf}, "sensitivity_peak_db of several loops must be finite"),
+        ({"input_output_disk_margin": 2.5}, "input_output_disk_margin of loop '' must not exceed 2"),
         ({"integrators": -1}, "integrators of several loops is a whole number from 0"),
-        ({"unstable_poles": True}, "unstable_poles of a SeveralRequirements must be a whole number"),
-        ({"band_hz": (3.0, 1.0)}, "band_hz is two rising frequencies"),
+        ({"gain_margin_db": 6.0}, r"all loops together are limited by disk_margin, .* alone; received gain_margin_db"),
+        ({"masks": (ls.Mask("S", ((1.0, 6.0), (10.0, 6.0))),)}, "alone; received sensitivity_mask_db, masks"),
     ],
 )
 def test_values_that_make_no_sense(fields, words):
     with pytest.raises(ls.errors.WrongUseError, match=words):
-        ls.SeveralRequirements(**fields)
+        ls.check([frf()], BOTH, together=ls.Requirements(**fields))
 
 
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("gain_margin_db = 6.0", "several: unknown key; received 'gain_margin_db'; .*known are modulus_margin"),
+        ("gain_margin_db = 6.0", r"all loops together are limited by .* alone; received gain_margin_db"),
         ('disk_margin = "much"', "several: disk_margin must be a finite number; received 'much'"),
         ("integrators = 1.5", "several: integrators must be a whole number; received 1.5"),
         ("band_hz = 3.0", "band_hz must be a pair of numbers; received 3.0"),
@@ -103,4 +95,4 @@ def test_a_line_above_half_the_rate():
     slow = [ls.Controller(name, (Block("gain", {"gain": 1.0}),), 150.0) for name in "ab"]
     other = type(frf())(F, G, frf().covariance, frf().valid, frf().inputs, frf().outputs, "m", "exact", "a+b", 150.0)
     with pytest.raises(ls.errors.WrongUseError, match="has no response at or above 75 Hz"):
-        check_several([other], slow)
+        ls.check([other], slow)

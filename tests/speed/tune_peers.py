@@ -20,9 +20,9 @@ from loopshape.core.units import angular, db, deg
 from loopshape.data.control.controller import Block
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import Problem, problem
+from loopshape.loop.loops import loops_of
 from loopshape.loop.margin.margins import Reader
 from loopshape.loop.stability.stability import count_unstable
-from loopshape.loop.verdict import loops_of
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 

@@ -15,8 +15,8 @@ from loopshape.cli.verify.check import report_verdicts
 if TYPE_CHECKING:
     from loopshape.design.growth import Grown
     from loopshape.design.relax import Shortfall
-    from loopshape.design.several import SeveralTuning, Turn
     from loopshape.design.tune import Tuning
+    from loopshape.design.turns import TunedLoops, Turn
 
 RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML).")]
 
@@ -78,7 +78,7 @@ def tune_run(run: Path, require: Path, out: Path, output: Output, **options: Any
     return not found.missed
 
 
-def _report_turns(turns: SeveralTuning, output: Output) -> None:
+def _report_turns(turns: TunedLoops, output: Output) -> None:
     """The loops of a plant in turn, each with the others closed."""
     columns = ["round", "loop", "others closed", "lowest bandwidth [Hz]", "its own verdict", "C changed by [%]"]
     output.table("Loops in turn", columns, [_row(turn) for turn in turns.turns])

@@ -74,8 +74,8 @@ class Loop:
     [0.5, 0.333]
 
     `controllers` is one controller, or a sequence of them in the order of the channels. Responses C, L, S, T, CS and PS
-    are (nf,) of one loop and (nf, n, n) of n, broken at the plant's outputs; those ending in _i are (nf, n, n), broken
-    at its inputs. `open_loop`, `sensitivity`, `complementary`, `process` and `control` are FRFs with their covariance.
+    are (nf,) of one loop and (nf, n, n) of n, broken at the plant's outputs; L_i is always (nf, n, n), broken at its
+    inputs. `open_loop`, `sensitivity`, `complementary`, `process` and `control` are FRFs with their covariance.
 
     `integrators` is the number of poles of the plant at s = 0 (of several loops as a minimal realisation has them: two
     axes that integrate have two), `unstable_poles` in the right half plane (None: not known); the data alone do not
@@ -86,7 +86,6 @@ class Loop:
     Of one loop `model`, where there is a fit, says how the plant goes on below the lowest line; only the count of
     encirclements uses it. Where `plant` was smoothed over its lines, `raw` are these as they were measured, and
     `scatter` draws what noise does to `plant`.
-
     Refuses another number of controllers than loops, several rates, and lines at or above half the rate.
     """
 
@@ -154,12 +153,13 @@ class Loop:
     @cached_property
     def C(self) -> ComplexArray:
         """Controller as it runs, of several loops diagonal."""
-        return _kept(self.c[:, 0] if self.is_one else self.c[:, :, None] * np.eye(len(self.controllers)))
+        one = self.controllers[0].response(self.frequency_hz) if self.is_one else None
+        return _kept(self.c[:, :, None] * np.eye(len(self.controllers)) if one is None else one)
 
     @cached_property
     def L(self) -> ComplexArray:
         """Open loop P C."""
-        return _kept(self.c[:, 0] * self.plant.siso if self.is_one else self.P * self.c[:, None, :])
+        return _kept(self.C * self.plant.siso if self.is_one else self.P * self.c[:, None, :])
 
     @property
     def S(self) -> ComplexArray:
@@ -179,22 +179,12 @@ class Loop:
     @property
     def PS(self) -> ComplexArray:
         """Process sensitivity (I + P C)^-1 P = P (I + C P)^-1."""
-        return self.plant.siso * self.S if self.is_one else self.P @ self.S_i
+        return self.plant.siso * self.S if self.is_one else self.S @ self.P
 
     @property
     def L_i(self) -> ComplexArray:
         """Open loop at the plant's inputs, C P."""
         return np.asarray(self.c[:, :, None] * self.P)
-
-    @property
-    def S_i(self) -> ComplexArray:
-        """Sensitivity at the plant's inputs, (I + C P)^-1."""
-        return sensitivity(self.L_i)
-
-    @property
-    def T_i(self) -> ComplexArray:
-        """Complementary sensitivity at the plant's inputs, C P (I + C P)^-1."""
-        return self.L_i @ self.S_i
 
     @property
     def determinant(self) -> ComplexArray:
@@ -290,12 +280,12 @@ def _refuse_unlike(plant: FRF, controllers: tuple[Controller, ...]) -> None:
             "a loop needs a square plant, and a controller for each channel", f"{ny} x {nu}, {len(controllers)}"
             f" controller{'s' * (len(controllers) != 1)}", "pick the loops' channels",
         )  # fmt: skip
-    rates = sorted({one.rate_hz for one in controllers} | ({plant.rate_hz} - {0.0}))
+    rates = {one.rate_hz for one in controllers} | ({plant.rate_hz} - {0.0})
     if len(rates) > 1:
         names = ", ".join(one.loop for one in controllers)
         raise WrongUseError(
             f"the controllers of {names} and the recording {plant.recording} have one rate",
-            ", ".join(f"{rate:g} Hz" for rate in rates),
+            ", ".join(f"{rate:g} Hz" for rate in sorted(rates)),
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import erf, inf, sqrt
 from typing import Any
@@ -65,12 +65,7 @@ class Profile:
 
     def joined(self, requirements: Requirements) -> Requirements:
         """Requirements under which both hold: of each quantity the stricter limit."""
-        stricter = {"at_least": max, "at_most": min}
-        made: dict[str, Any] = {}
-        for name, limit in self.limits.items():
-            own = getattr(requirements, name)
-            made[name] = limit if own is None else stricter[LIMIT_OF[name].sense](own, limit)
-        return replace(requirements, **made)
+        return requirements.stricter(self.limits)
 
     def sentences(self) -> tuple[str, ...]:
         """What a verdict under this profile has to carry: standard and clause, what was not read, who confirms."""

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
@@ -183,7 +183,7 @@ _ROWS: tuple[Limit, ...] = (
 )  # fmt: skip
 #: what a single loop keeps, and what all loops of a plant keep at once
 LIMITS = tuple(limit for limit in _ROWS if limit.together != "alone")
-SEVERAL_LIMITS = tuple(sorted((x for x in _ROWS if x.together), key=lambda x: "disk" not in x.name))
+TOGETHER = tuple(sorted((x for x in _ROWS if x.together), key=lambda x: "disk" not in x.name))
 LIMIT_OF = {limit.name: limit for limit in _ROWS}
 #: limits that hold for all operating points alike
 OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent", "weighted_norm")
@@ -191,7 +191,7 @@ OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent", "weighted_norm")
 
 @dataclass(frozen=True, eq=False)
 class Requirements:
-    """What one loop must keep at every operating point; None requires nothing.
+    """What one loop must keep at every operating point, or all loops of a plant together; None requires nothing.
 
     `control_high_frequency_db` limits |CS| at and above `control_high_frequency_from_hz`. `structure` is
     the controller that `tune` may choose from; `check` does not need it. `band_hz` narrows the lines that
@@ -201,7 +201,8 @@ class Requirements:
     much |S| may exceed its masks) to 0. `weights` make one norm of |S|, |T|, |CS| and |PS| over all frequencies, the
     same at all operating points: `weighted_norm` limits it, and the objective may make it small. `error_rms` limits the
     rms of the error, in the output's unit, under what disturbs the loop: `check` and `tune` need a recording of that.
-    Where several of `at` hold at an operating point the last has its way.
+    Where several of `at` hold at an operating point the last has its way. What all loops keep together
+    (`ls.check(..., together=...)`) is of `TOGETHER`, the poles and the band alone: `input_output_disk_margin` there.
     Refuses values that make no sense.
     """
 
@@ -218,6 +219,7 @@ class Requirements:
     control_high_frequency_from_hz: float | None = None
     bandwidth_hz: float | None = None
     disk_margin: float | None = None
+    input_output_disk_margin: float | None = None
     process_peak_db: float | None = None
     sensitivity_bandwidth_hz: float | None = None
     complementary_bandwidth_hz: float | None = None
@@ -239,18 +241,12 @@ class Requirements:
     integrators: int | None = None
     unstable_poles: int | None = None
     objective: Objective = Objective()  # noqa: RUF009 (frozen)
-    limits: ClassVar[tuple[Limit, ...]] = LIMITS
     READ_AS: ClassVar = {"loop": "name"}
     ALSO_READ: ClassVar[tuple[str, ...]] = ("disturbance_below_hz",)
-    _least_integrators: ClassVar[int] = -2
-
-    @property
-    def _whose(self) -> str:
-        return f"loop {self.loop!r}"
 
     def __repr__(self) -> str:
         """One line: its loop and each limit that is given."""
-        asked = [(limit, getattr(self, limit.name)) for limit in self.limits if getattr(self, limit.name) is not None]
+        asked = [(x, value) for x in LIMIT_OF.values() if (value := getattr(self, x.name)) is not None]
         words = [f"{limit.name} {limit.sense.replace('_', ' ')} {value:g}" for limit, value in asked]
         words += [f"others at {len(self.at)} ranges of operating points"] if self.at else []
         return f"Requirements{f' {self.loop}' if self.loop else ''}: {', '.join(words) or 'none'}"
@@ -273,17 +269,17 @@ class Requirements:
             )
 
     def _check_values(self) -> None:
-        for limit in self.limits:
-            limit.refuse(getattr(self, limit.name), self._whose)
+        for limit in LIMIT_OF.values():
+            limit.refuse(getattr(self, limit.name), f"loop {self.loop!r}")
         if self.control_high_frequency_from_hz is not None:
             what = f"control_high_frequency_from_hz of loop {self.loop!r}"
             refuse_not_positive(what, self.control_high_frequency_from_hz)
         if self.band_hz is not None and not _rising_pair(self.band_hz):
             raise WrongUseError("band_hz is two rising frequencies", f"{self.band_hz!r}")
-        for name, least in (("integrators", self._least_integrators), ("unstable_poles", 0)):
+        for name, least in (("integrators", -2), ("unstable_poles", 0)):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
-                raise WrongUseError(f"{name} of {self._whose} is a whole number from {least}", f"{value!r}")
+                raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
 
     def _allow_nothing_over_masks(self) -> None:
         masked = {mask.quantity for mask in self.masks}
@@ -297,7 +293,7 @@ class Requirements:
 
     def _check_at(self, one: AtPoints) -> None:
         """Refuse limits at operating points that are none of one operating point, or make no sense."""
-        known = {limit.name for limit in self.limits} - set(OF_ALL_POINTS) - set(MASKED)
+        known = {limit.name for limit in LIMITS} - set(OF_ALL_POINTS) - set(MASKED)
         if unknown := sorted(set(one.limits) - known):
             raise WrongUseError(
                 f"at operating points of loop {self.loop!r} cannot be limited", ", ".join(unknown),
@@ -324,7 +320,7 @@ class Requirements:
     def limited(self) -> tuple[str, ...]:
         """Names of the quantities that are limited, at some operating point at least, in the order of `LIMITS`."""
         every = (self, *(self._with(one) for one in self.at))
-        return tuple(x.name for x in self.limits if any(getattr(one, x.name) is not None for one in every))
+        return tuple(x.name for x in LIMITS if any(getattr(one, x.name) is not None for one in every))
 
     def moved(self, by: Mapping[str, float]) -> Requirements:
         """The same with limits moved by these amounts, at all operating points."""
@@ -332,6 +328,32 @@ class Requirements:
         own = {name: getattr(self, name) for name in by}
         changes: dict[str, Any] = {name: now + by[name] for name, now in own.items() if now is not None}
         return replace(self, at=at, **changes)
+
+    def stricter(self, limits: Mapping[str, float]) -> Requirements:
+        """Requirements under which these limits hold too: of each quantity the stricter one."""
+        made: dict[str, Any] = {}
+        for name, limit in limits.items():
+            own, tighter = getattr(self, name), max if LIMIT_OF[name].sense == "at_least" else min
+            made[name] = limit if own is None else tighter(own, limit)
+        return replace(self, **made)
+
+    def of_all(self) -> Requirements:
+        """These, as what all loops of a plant keep together; refuses what is of each loop by itself."""
+        own = [*(limit.name for limit in TOGETHER), "integrators", "unstable_poles", "band_hz"]
+        if unfit := [
+            f.name for f in fields(self) if f.name not in ("loop", *own) and getattr(self, f.name) != f.default
+        ]:
+            what = f"all loops together are limited by {', '.join(own)} alone"
+            raise WrongUseError(what, ", ".join(unfit), "limit each loop by itself")
+        if self.integrators is not None and self.integrators < 0:
+            raise WrongUseError("integrators of several loops is a whole number from 0", f"{self.integrators!r}")
+        return self
+
+    def with_all(self, together: Requirements) -> Requirements:
+        """Requirements of the one loop that there is, with what all loops keep: the stricter limit, its own poles."""
+        limits = {x.name: v for x in TOGETHER if (v := getattr(together, x.name)) is not None}
+        own = [x for x in ("integrators", "unstable_poles", "band_hz") if getattr(self, x) is None]
+        return replace(self.stricter(limits), **{name: getattr(together, name) for name in own})
 
     def masks_on(self, plot: str) -> tuple[Mask, ...]:
         """Masks of a response, those of some operating points alone included."""
@@ -365,25 +387,6 @@ class Requirements:
             one["masks"] = tuple(Mask(**mask) for mask in one.get("masks", ()))
         given |= {"at": tuple(AtPoints(**x) for x in given["at"]), "objective": Objective(**given.get("objective", {}))}
         return cls(loop=given.pop("name"), **given)
-
-
-@dataclass(frozen=True, repr=False)
-class SeveralRequirements(Requirements):
-    """What all loops of a plant must keep together, of `limits` alone; None requires nothing.
-
-    `integrators` and `unstable_poles` declare those of the whole plant (`Loop`); None leaves them to its lowest
-    lines, and to the loops that were recorded and stood. Refuses values that make no sense.
-    """
-
-    input_output_disk_margin: float | None = None
-    limits: ClassVar[tuple[Limit, ...]] = SEVERAL_LIMITS
-    READS: ClassVar = (*(limit.name for limit in SEVERAL_LIMITS), "integrators", "unstable_poles", "band_hz")
-    ALSO_READ: ClassVar[tuple[str, ...]] = ()
-    _least_integrators: ClassVar[int] = 0
-
-    @property
-    def _whose(self) -> str:
-        return "several loops"
 
 
 def _rising_pair(band: Any) -> bool:

@@ -67,18 +67,18 @@ def interaction(
 
 
 def square_part(
-    frf: FRF, loops: Sequence[str] | None = None, outputs: Sequence[str] | None = None
+    frf: FRF, loops: Sequence[str] | None = None, outputs: Sequence[str] | None = None, *, least: int = 2
 ) -> tuple[FRF, tuple[str, ...]]:
     """The part of a matrix FRF that loops make, and their names: loop k goes from input k to output k.
 
     A column is known by its loop's name where the FRF tells its loops, by its input's name otherwise. A row is known by
     `outputs`, by a channel of the loop's name, or, where the FRF is square, by its place. Loops of the FRF that are
-    left out are open; those that it does not have are as they were when it was measured. Refuses fewer than two
-    loops, names that are not there, and rows that cannot be told.
+    left out are open; those that it does not have are as they were when it was measured. Refuses fewer than
+    `least` loops, names that are not there, and rows that cannot be told.
     """
     known = tuple(frf.loop.split("+")) if len(frf.loop.split("+")) == len(frf.inputs) else frf.inputs
     names = tuple(loops) if loops else known
-    if len(names) < 2 or len(set(names)) < len(names):
+    if len(names) < least or len(set(names)) < len(names):
         raise WrongUseError(
             "interaction is between two loops at least, each once", ", ".join(names),
             "measure several and estimate their matrix: loopshape frf RUN --matrix",
@@ -100,7 +100,7 @@ def _rows(frf: FRF, names: Sequence[str], columns: Sequence[int]) -> tuple[str, 
     if len(frf.outputs) == len(frf.inputs):
         return tuple(frf.outputs[k] for k in columns)
     raise WrongUseError(
-        "interaction needs one output for each loop, and the names do not say which",
+        "each loop needs one output, and the names do not say which",
         f"{len(frf.outputs)} outputs ({', '.join(frf.outputs)}) for the loops {', '.join(names)}",
         "name the outputs in the loops' order",
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.profile import Profile
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Checked, Comparison
@@ -28,7 +28,8 @@ from loopshape.io.write.fits import read_fits
 from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
-from loopshape.loop.matrix.several import loop_matrices, verdict_on_matrices
+from loopshape.loop.loops import closed_loops
+from loopshape.loop.margin.error_rms import refuse_several_disturbed
 from loopshape.loop.verdict import check_loops
 
 
@@ -55,10 +56,10 @@ class LoopCheck:
 
 @dataclass(frozen=True, eq=False)
 class MatrixCheck:
-    """Several loops of one plant: the loops by operating point, what all must keep together, and what came out."""
+    """Several loops of one plant at each operating point, what all must keep together, and what came out."""
 
-    matrices: Mapping[str, Loop]
-    several: SeveralRequirements
+    loops: tuple[Loop, ...]
+    together: Requirements
     verdict: Verdict
 
 
@@ -152,21 +153,32 @@ def check_all(
     Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
     has FRFs of single loops only.
     """
-    requirements, several = (None, None) if require is None else read_required(require)
+    requirements, together = (None, None) if require is None else read_required(require)
     controllers = read_controllers(controller)
-    if not matrix and several is None:
+    if not matrix and together is None:
         drawn = None if diagram is None else read_diagram(diagram, run)
         equivalent = None if drawn is None else drawn.equivalent()
         loops = _single_loops(run, controllers, requirements, profile, disturbance, equivalent)
         inner = () if equivalent is None else tuple(equivalent.inner.values())
         return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)
     if diagram is not None:
-        raise WrongUseError("a diagram is checked at its tuned block", "several loops at once", "leave --matrix out")
-    if disturbance is not None:
-        raise WrongUseError("the rms of an error is predicted for single loops", "several at once", "check one alone")
-    together = several or SeveralRequirements()
-    one = _several_loops(run, controllers, requirements or (), together, profile, closed)
-    return Checks(one.verdict.parts, matrix=one)
+        raise WrongUseError(
+            "a diagram closes its other loops itself, and is checked at its one open block", "several loops at once",
+            "leave --matrix out",
+        )  # fmt: skip
+    asked = requirements or ()
+    frfs, under = read_several_loops(run), recorded_under(run)
+    chosen = closed_loops(frfs, controllers, closed)
+    refuse_several_disturbed(chosen.names, disturbance)
+    if profile is not None:
+        given = {one.loop: one for one in asked}
+        asked = tuple(profile.joined(given.get(name, Requirements(name))) for name in chosen.names)
+    verdict, built = check_loops(frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under)
+    if len(chosen.names) > 1:
+        return Checks(verdict.parts, matrix=MatrixCheck(built, together or Requirements(), verdict))
+    own, required = controller_of(controllers, verdict.loop), (*asked, Requirements(verdict.loop))[0]
+    one = LoopCheck(chosen.frfs, required, (), checked(verdict, own, chosen.frfs), built)
+    return Checks((verdict,), (one,))
 
 
 def _single_loops(
@@ -191,24 +203,6 @@ def _single_loops(
     asked = asked if equivalent is None else tuple(map(equivalent.asked, asked))
     still = None if disturbance is None else read_run(disturbance)
     return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, still) for required in asked)
-
-
-def _several_loops(
-    run: Path,
-    controllers: Sequence[Controller],
-    requirements: Sequence[Requirements],
-    several: SeveralRequirements,
-    profile: Profile | None,
-    closed: Sequence[str] | None,
-) -> MatrixCheck:
-    matrices, notes = loop_matrices(
-        read_several_loops(run), controllers, several, loops=closed, held=recorded_under(run)
-    )
-    if profile is not None:
-        given = {one.loop: one for one in requirements}
-        names = next(iter(matrices.values())).names
-        requirements = [profile.joined(given.get(name, Requirements(name))) for name in names]
-    return MatrixCheck(matrices, several, verdict_on_matrices(matrices, requirements, several, notes))
 
 
 def _check(

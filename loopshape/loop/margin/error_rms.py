@@ -77,6 +77,15 @@ def with_error_rms(loop: Loop, margins: Margins, disturbance: Disturbance) -> Ma
     return margins.with_readings(error_rms=Reading(found.rms, found.interval))
 
 
+def refuse_several_disturbed(names: Sequence[str], disturbances: object) -> None:
+    """Refuse what disturbs one loop where several loops are closed anew."""
+    if len(names) > 1 and disturbances:
+        raise WrongUseError(
+            "the error of several loops follows from what disturbs all of them, which a recording of one does not tell",
+            f"loops {', '.join(names)} and a disturbance", "take one loop alone",
+        )  # fmt: skip
+
+
 def of_points(loops: Mapping[str, Loop], disturbances: Sequence[Disturbance]) -> dict[str, Disturbance]:
     """The disturbance of each operating point by its name: that recorded there; one alone serves all."""
     if len(disturbances) == 1:

@@ -12,10 +12,9 @@ from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.control.loop import Loop, responses, sensitivity
 from loopshape.data.response.smoothed import Dense
-from loopshape.data.result.margins import Margins, Reading
+from loopshape.data.result.margins import Margins
 from loopshape.data.signal.channel import Channel, sum_terms
-from loopshape.identify.smooth.smoothing import smoothed
-from loopshape.loop.margin.margins import REACH, margins
+from loopshape.loop.margin.margins import REACH
 from loopshape.loop.matrix.determinant import closed_loops_stability, followed_matrix
 from loopshape.loop.matrix.structured import mu_bounds, refined, upper_at
 
@@ -66,8 +65,6 @@ def several_margins(loops: Loop) -> Margins:
     the lines show makes them, and by a parabola through the largest line and its neighbours, whose rise, and as much
     again, is in the bad half of the interval.
     """
-    if len(loops.names) == 1:
-        return _of_one(loops)
     scatter = followed_matrix(loops) if loops.plant.covariance.any() else None
     P, f, c = loops.P, loops.frequency_hz, loops.c
     if scatter is not None:
@@ -118,25 +115,6 @@ def _of_the_disk(a: float) -> dict[str, float]:
     """What every loop's gain and phase may vary by, all at once, by the disk margin."""
     gain = float(db((2.0 + a) / (2.0 - a))) if a < 2.0 else float("inf")
     return {"gain_margin_db": gain, "phase_margin_deg": float(2.0 * deg(np.arctan(0.5 * a)))}
-
-
-def _of_one(loops: Loop) -> Margins:
-    """Of one loop its own margins: the same lines, the same draws, the same intervals."""
-    plant, scatter = smoothed(loops.plant)
-    loop = Loop(
-        plant, loops.controllers[0], loops.integrators, loops.unstable_poles, None, loops.beyond, loops.plant, scatter
-    )
-    found = margins(loop)
-    own = {name: found[name] for name in FIELDS if name != "input_output_disk_margin"}
-    varied = {name: Reading(value) for name, value in _of_the_disk(found.disk_margin).items()}
-    return Margins(
-        own | varied,
-        found.stable,
-        found.stability_reason,
-        found.stability_band_hz,
-        loops=loops.names,
-        disk_margin_reached=found.disk_margin,
-    )
 
 
 def _field(name: str, value: float) -> float:

@@ -18,10 +18,11 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction, Step, StepComparison
 from loopshape.data.signal.channel import unit_of
+from loopshape.loop.loops import closed_loops, equivalent_plants, loops_of, matrix_loops
+from loopshape.loop.matrix.determinant import closed_loops_stability
 from loopshape.loop.predict.agreement import noticed_db, on_common_lines, paired, tested
 from loopshape.loop.predict.step_response import DRAWS, predict_step, step_from_lines
-from loopshape.loop.stability.stability import closed_loop_stability
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.stability.stability import Stability, closed_loop_stability
 
 #: without a change of the plant's gain of this size being noticed four times in five, nothing is said to have held
 NOTICED_DB = 1.0
@@ -30,7 +31,12 @@ FIT_APART_DB = 1.0
 
 
 def predict(
-    frfs: Sequence[FRF], controller: Controller, fits: Sequence[Fit] = (), *, draws: int = DRAWS, seed: int = 0
+    frfs: Sequence[FRF],
+    controllers: Controller | Sequence[Controller],
+    fits: Sequence[Fit] = (),
+    *,
+    draws: int = DRAWS,
+    seed: int = 0,
 ) -> list[Prediction]:
     """What a controller will make of each measured plant of its loop: S from the FRF, the step from a fit of it.
 
@@ -39,14 +45,28 @@ def predict(
     S goes over the plant's valid lines with the plant's covariance. **The prediction is of the plant as it was
     measured**: at that amplitude, about where it stood on average, and with the other loops closed by the controllers
     that they had then. A plant that answers larger signals otherwise, or whose loops interact and get new controllers
-    together, will contradict it, and that is what a comparison is for.
+    together, will contradict it, and that is what a comparison is for. Of several controllers, one a loop of matrix
+    FRFs, each loop's S is that with the others closed by theirs, and stable is what det(I + L) says of all.
     """
+    every = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
     if not frfs:
-        raise WrongUseError(f"there is no FRF of loop {controller.loop!r} to predict from", "", "measure or import one")
-    loops, notes = loops_of(frfs, controller, Requirements(controller.loop), fits)
-    if notes:
-        notes = ("stability: " + "; ".join(notes),)
-    return [_one(loop, fit_of(frf, fits), notes, draws, seed) for loop, frf in zip(loops, frfs, strict=True)]
+        names = ", ".join(repr(one.loop) for one in every)
+        raise WrongUseError(f"there is no FRF of loop {names} to predict from", "", "measure or import one")
+    closed = closed_loops(frfs, every)
+    if len(closed.names) > 1:
+        whole, more = matrix_loops(closed, Requirements())
+        counts = [closed_loops_stability(loop) for loop in whole]
+        parts = [(own, equivalent_plants(own.loop, whole)) for own in every if own.loop in closed.names]
+    else:
+        more, counts, parts = [], [], [(every[0], closed.frfs)]
+    made = []
+    for own, plants in parts:
+        loops, notes = loops_of(plants, own, Requirements(own.loop), fits, counted=len(parts) == 1)
+        texts = ("stability: " + "; ".join((*more, *notes)),) if more or notes else ()
+        stable = counts if len(parts) > 1 else [closed_loop_stability(loop) for loop in loops]
+        for loop, stability, frf in zip(loops, stable, plants, strict=True):
+            made.append(_one(loop, stability, fit_of(frf, fits), texts, draws, seed))
+    return made
 
 
 def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
@@ -54,8 +74,9 @@ def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
     return next((x for x in fits if (x.recording, x.loop, x.frf_digest) == (frf.recording, frf.loop, frf.digest)), None)
 
 
-def _one(loop: Loop, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int) -> Prediction:
-    stability = closed_loop_stability(loop)
+def _one(
+    loop: Loop, stability: Stability, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int
+) -> Prediction:
     plant = loop.plant if loop.raw is None else loop.raw  # smoothed lines share errors, which a comparison cannot know
     S = replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
     if stability.outcome is not ClosedLoop.STABLE:

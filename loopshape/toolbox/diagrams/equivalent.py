@@ -19,7 +19,8 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.equivalent import Equivalent, hidden
 from loopshape.data.result.verdict import Verdict
-from loopshape.loop.verdict import check_loops, loops_of
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check_loops
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
 from loopshape.toolbox.diagrams.transfer import transfer
 

@@ -21,7 +21,8 @@ from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check
 from loopshape.toolbox.limits.bound_certificate import CLEAR, Certificate, Poles, certificate
 from loopshape.toolbox.limits.bound_nodes import WITHIN, Nodes, counted, impossible, nodes, weights
 from loopshape.toolbox.limits.bound_reach import Reached, achieved

@@ -23,7 +23,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.design.growth import library
 from loopshape.design.tune import Tuning, tune
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 from loopshape.toolbox.limits.bound import excluded
 from loopshape.toolbox.limits.bound_nodes import counted
 from loopshape.toolbox.limits.bound_reach import Reached, achieved, reached_at

@@ -13,7 +13,8 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.design.tune import tune
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check
 from loopshape.toolbox.limits.bound import excluded
 
 #: how often a search that ends just outside the requirements is repeated

@@ -32,13 +32,14 @@ from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.identify.smooth.smoothing import Recipe, recipe_of
 from loopshape.loop import detuning, shifted
+from loopshape.loop.loops import loops_of
 from loopshape.loop.margin import between, margins
 from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
 from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
-from loopshape.loop.verdict import loops_of, outside_warnings
+from loopshape.loop.verdict import outside_warnings
 from loopshape.view.html.markup import packed
 
 #: what pages know of a limit, to draw it and to read it

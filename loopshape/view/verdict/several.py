@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
 from loopshape.data.control.loop import Loop, characteristic_loci
-from loopshape.data.requirement.requirements import SeveralRequirements
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.margins import Margins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.loop.matrix.several_margins import gauge_matrix
@@ -147,10 +147,10 @@ def summary(each: Mapping[str, Margins], found: Margins, required: float | None,
 
 @styled()
 def several_page(
-    loops: Loop, found: Margins, each: Mapping[str, Margins], required: SeveralRequirements | None = None
+    loops: Loop, found: Margins, each: Mapping[str, Margins], required: Requirements | None = None
 ) -> Figure:
     """All loops of one operating point: loci and det(I + L) above, S and T with limits, disk margins below."""
-    required = required or SeveralRequirements()
+    required = required or Requirements()
     figure = new_figure(3, 2, (FULL_WIDTH_IN, 8.6))
     a, b, c, d, e, f = figure.axes
     scaled = bool(np.isnan(found.sensitivity_peak_db))

@@ -81,7 +81,7 @@ def test_a_check_of_uncoupled_loops_is_a_check_of_each():
     frf = frf_of(F, diagonal(servo(30.0, 0.02), servo(8.0, 0.05)), 0.02, loop="a+b")
     required = [ls.Requirements(name, modulus_margin=0.5, integrators=1, unstable_poles=0) for name in "ab"]
     controllers = [gain("a"), gain("b")]
-    found = ls.check([frf], controllers, required, together=ls.SeveralRequirements(integrators=2, unstable_poles=0))
+    found = ls.check([frf], controllers, required, together=ls.Requirements(integrators=2, unstable_poles=0))
     for k, verdict in enumerate(found.each):
         alone = ls.check([pick(frf, [k], [k])], controllers[k], required[k])
         assert verdict.lines == alone.lines

@@ -12,7 +12,7 @@ from run_files import gather
 
 import loopshape as ls
 from loopshape.data.algebra import feedback
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 from loopshape.view.html.page import page
 from loopshape.view.html.traces import embedded, loop_traces, plant_traces
 from loopshape.view.plots.curves import magnitude_band_db, thinned

@@ -250,7 +250,7 @@ def test_each_loop_of_a_matrix_meets_the_plant_with_the_others_closed(
     P = coupled(coupling)
     controllers = [several_cases.gain("a", 6.0), several_cases.gain("b", 4.0, several_cases.lead(3.0, 12.0))]
     wanted = [ls.Requirements(name, phase_margin_deg=30.0, sensitivity_peak_db=6.0) for name in "ab"]
-    together = ls.SeveralRequirements(integrators=2, unstable_poles=0)
+    together = ls.Requirements(integrators=2, unstable_poles=0)
     file = ls.shape(P, controllers, wanted, tmp_path / "several.html", together=together)
     page, verdict = page_in_browser.opened(context, file), ls.check(P, controllers, wanted, together=together)
     for k, (one, controller) in enumerate(zip(verdict.each, controllers, strict=True)):

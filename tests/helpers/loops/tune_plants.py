@@ -6,7 +6,7 @@ from conversions import angular
 
 import loopshape as ls
 from loopshape.design.problem.problem import problem
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 
 RATE = 10_000.0
 GAIN = {"kind": "gain", "gain": {"min": 0.01, "max": 1000.0}}

@@ -9,7 +9,7 @@ from bench_nouns import Block, Loop, TransferFunction
 from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 
 RATE = 1000.0
 #: the operating point whose gain is so large that the check fails there

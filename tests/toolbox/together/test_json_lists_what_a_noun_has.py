@@ -11,7 +11,7 @@ for name in (
     "data.result.baseline",
     "toolbox.limits.bound",
     "toolbox.schedules.schedule",
-    "design.several",
+    "design.turns",
     "toolbox.planning.plan",
     "loop.predict.remeasured",
 ):

@@ -102,7 +102,6 @@ CALLS = {
         bandwidth_hz=1.0, control_high_frequency_db=6.0, control_high_frequency_from_hz=50.0, detuning_percent=None,
         masks=(MASK,), weights=(), at=(), band_hz=(1.0, 100.0), structure=(), integrators=1, unstable_poles=0,
         objective=ls.Objective()), used_requirements),
-    "SeveralRequirements": (ls.SeveralRequirements, dict(disk_margin=0.3, integrators=2, unstable_poles=0), repr),
     "Mask": (ls.Mask, dict(response="S", points=((0.1, -40.0), (10.0, 0.0)), sense="at_most"), repr),
     "Weight": (ls.Weight, dict(response="S", size=((0.1, -40.0), (10.0, 0.0))), lambda one: one.at(F)),
     "AtPoints": (ls.AtPoints, dict(where={"p": (1.0, 2.0)}, limits={"gain_margin_db": 3.0}, masks=()),

@@ -2,13 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from bench_nouns import Block
 from two_axes import RATE, F, matrix
 
 import loopshape as ls
-from loopshape.design.several import tune_several
 from loopshape.design.tune import tune
+from loopshape.design.turns import tune_loops
 
 
 def required(name, **limits):
@@ -28,8 +29,9 @@ def required(name, **limits):
 
 
 WISHES = (required("a"), required("b"))
-WHOLE = ls.SeveralRequirements(unstable_poles=0)
-FEW = {"starts": 4, "draws": 20, "several": WHOLE}
+WHOLE = ls.Requirements(unstable_poles=0)
+START = 2 * (ls.Controller("a", (Block("gain", {"gain": 20.0}),), RATE),)
+FEW = {"starts": 4, "draws": 20, "together": WHOLE}
 
 
 def test_loops_that_do_not_meet_are_tuned_as_each_alone():
@@ -50,7 +52,7 @@ def test_loops_that_do_not_meet_are_tuned_as_each_alone():
 @pytest.fixture(scope="module")
 def coupled():
     frfs = [matrix(1.0), matrix(1.1, (0.005, 0.006), "two")]
-    return frfs, tune_several(frfs, WISHES, **FEW)
+    return frfs, tune_loops(frfs, WISHES, **FEW)
 
 
 def test_coupled_loops_come_to_rest_and_pass_together(coupled):
@@ -64,13 +66,13 @@ def test_coupled_loops_come_to_rest_and_pass_together(coupled):
 
 def test_tuned_alone_they_fail_together(coupled):
     frfs, _ = coupled
-    alone = tune_several([matrix(0.0), matrix(0.0, (0.005, 0.006), "two")], WISHES, **FEW)
+    alone = tune_loops([matrix(0.0), matrix(0.0, (0.005, 0.006), "two")], WISHES, **FEW)
     assert not ls.check(frfs, alone.controllers, WISHES).passed
 
 
 def test_at_rest_no_loop_improves_alone(coupled):
     frfs, found = coupled
-    again = tune_several(frfs, WISHES, found.controllers, rounds=1, starts=1)
+    again = tune_loops(frfs, WISHES, found.controllers, rounds=1, starts=1)
     for turn in again.turns:
         assert turn.tuning.bandwidth_hz == pytest.approx(found.tunings[turn.loop].bandwidth_hz, rel=3e-3)
 
@@ -78,31 +80,47 @@ def test_at_rest_no_loop_improves_alone(coupled):
 @pytest.mark.long
 def test_same_seed_same_controllers(coupled):
     frfs, found = coupled
-    again = tune_several(frfs, WISHES, **FEW)
+    again = tune_loops(frfs, WISHES, **FEW)
     blocks = [[b.parameters for c in one.controllers for b in c.blocks] for one in (found, again)]
     assert blocks[0] == blocks[1]
 
 
 def test_a_loop_without_wishes_stays_closed_as_it_is():
     still = ls.Controller("b", (Block("gain", {"gain": 20.0}),), RATE)
-    found = tune_several([matrix(0.6)], WISHES[:1], [still], **FEW)
+    found = tune_loops([matrix(0.6)], WISHES[:1], [still], **FEW)
     assert {turn.others for turn in found.turns} == {("b",)}
     assert [c.loop for c in found.controllers] == ["a", "b"]
     assert found.controllers[1] is still
 
 
-def test_one_loop_is_refused():
-    with pytest.raises(ls.errors.WrongUseError, match="several loops are two at least"):
-        tune_several([matrix(0.0)], WISHES[:1])
+def test_loops_grow_with_the_others_closed(coupled):
+    """The blocks that pay are added to each loop's structure in the first round, and tuned on in the others."""
+    frfs, _ = coupled
+    bare = [replace(one, structure=one.structure[:1]) for one in WISHES]
+    few = ls.tune(frfs, bare, starts=2, together=WHOLE)
+    grown = ls.tune(frfs, bare, starts=2, grow=1, together=WHOLE)
+    assert grown.feasible
+    for name in ("a", "b"):
+        first = next(turn.tuning for turn in grown.turns if turn.loop == name)
+        assert [len(first.growth), len(grown.tunings[name].structure)] == [2, 2]
+        assert grown.tunings[name].bandwidth_hz > 1.2 * few.tunings[name].bandwidth_hz
+
+
+def test_one_structure_may_serve_all_loops(coupled):
+    frfs, _ = coupled
+    bare = [replace(one, structure=()) for one in WISHES]
+    again = ls.tune(frfs, bare, WISHES[0].structure, starts=4, together=WHOLE)
+    for own, other in zip(again.controllers, ls.tune(frfs, WISHES, starts=4, together=WHOLE).controllers, strict=True):
+        np.testing.assert_allclose(own.response(F), other.response(F), rtol=1e-9)
 
 
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ({"R": WISHES, "grow": 1}, "structure, fits, growth and error_rms are of a single loop"),
-        ({"R": WISHES[0], "start": []}, "one loop starts from one controller"),
+        ({"R": WISHES, "disturbance": "run"}, r"error of several loops follows from what disturbs all.*loops a, b"),
+        ({"R": WISHES[0], "start": START}, r"a search begins at one controller a loop; received a, a"),
     ],
 )
-def test_what_is_of_one_loop_alone_is_not_asked_of_several(asked, words):
+def test_what_is_not_asked_of_several(asked, words):
     with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.tune(matrix(0.0), **asked)

@@ -11,8 +11,8 @@ import loopshape as ls
 from loopshape.data.requirement import requirements
 from loopshape.design.problem.measures import measure, opened
 from loopshape.design.problem.problem import problem
+from loopshape.loop.loops import loops_of
 from loopshape.loop.margin.error_rms import error_rms
-from loopshape.loop.verdict import loops_of
 
 WEIGHTS = [
     {"response": name, "points": [[1.0, a], [30.0, b], [4000.0, c]]}

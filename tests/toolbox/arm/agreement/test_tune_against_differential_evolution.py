@@ -10,7 +10,7 @@ from scipy.optimize import differential_evolution
 
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
 from tune_workload import frfs, requirements

@@ -14,7 +14,8 @@ from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tighten import tighten_limits
-from loopshape.loop.verdict import loops_of, verdict_on
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import verdict_on
 
 sys.path.insert(0, str(Path(__file__).parents[3] / "speed"))
 from tune_workload import frfs as arm_frfs

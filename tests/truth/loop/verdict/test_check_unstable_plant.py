@@ -10,7 +10,7 @@ from conversions import TWO_PI
 import loopshape as ls
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.quality.quality import stayed_bounded
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.loops import loops_of
 
 RATE = 20_000.0
 W = TWO_PI * 10.0

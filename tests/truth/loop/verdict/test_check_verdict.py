@@ -11,8 +11,8 @@ from conversions import TWO_PI, db
 import loopshape as ls
 from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.loop.loops import loops_of
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.verdict import loops_of
 
 RATE = 1000.0
 F = np.geomspace(0.1, 100.0, 1500)

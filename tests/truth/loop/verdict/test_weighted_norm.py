@@ -22,7 +22,8 @@ import loopshape as ls
 from loopshape.design.problem.shifts import shifted_verdict
 from loopshape.design.search import LARGEST, initial_point, search
 from loopshape.design.tighten import tighten_limits
-from loopshape.loop.verdict import check, loops_of
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check
 
 B, A, C3 = 20.0, 8.0, 0.05  # P = B/s, W1 = A/s, W3 = C3
 INTEGRATOR = frf(TransferFunction([B], [1.0, 0.0]), 600, low_hz=0.01, high_hz=4600.0)

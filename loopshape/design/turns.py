@@ -1,9 +1,9 @@
-"""Several loops of one plant, tuned one after the other with the others closed, until nothing moves."""
+"""The loops of one plant, tuned one after the other with the others closed, until nothing moves."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import count
 from typing import Any
 
@@ -14,16 +14,19 @@ from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.algebra.propagation import pick
 from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.requirements import Requirements, SeveralRequirements
+from loopshape.data.control.shorthand import bounded
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
+from loopshape.design.growth import LEAST_GAIN
 from loopshape.design.tune import Tuning, tune
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
+from loopshape.loop.loops import Closed, loops_of, matrix_loops
 from loopshape.loop.matrix.determinant import encirclement_count
-from loopshape.loop.matrix.several import check_several, loop_matrices
 from loopshape.loop.stability.stability import unstable_count
-from loopshape.loop.verdict import loops_of
+from loopshape.loop.verdict import check
 
 #: controllers stand still where ln of no response moved by more than this in a round
 STILL = 3e-3
@@ -43,7 +46,7 @@ class Turn(Plain):
 
 
 @dataclass(frozen=True, eq=False)
-class SeveralTuning(Plain):
+class TunedLoops(Plain):
     """Controllers of all loops, how they came to be, and the verdict on all of them at once.
 
     `converged` tells that in the last round no controller moved; where it is False the loops pull at each other, and
@@ -74,90 +77,91 @@ class SeveralTuning(Plain):
         return {turn.loop: turn.tuning for turn in self.turns}
 
 
-def tune_several(
+def tune_loops(
     frfs: Sequence[FRF],
     requirements: Sequence[Requirements],
     controllers: Sequence[Controller] = (),
-    several: SeveralRequirements | None = None,
+    together: Requirements | None = None,
     *,
-    held: Sequence[Controller] = (),
+    fits: Sequence[Fit] = (),
+    recorded_under: Sequence[Controller] = (),
+    grow: int = 0,
+    least_gain: float = LEAST_GAIN,
     rounds: int = 10,
     seed: int = 0,
     starts: int = 16,
     draws: int = 60,
     step: Callable[[str], None] = lambda word: None,
-) -> SeveralTuning:
+) -> TunedLoops:
     """Tune the loops of a plant's matrices (one an operating point) in turn; same input and seed, same controllers.
 
     Loops are tuned in the order of `requirements`, each to the plants that it meets while the others are closed with
     their latest controllers; loops that have none yet are open. `controllers` are where loops start, and those of loops
     without requirements stay as they are. From the second round on each search begins at the loop's own controller. A
-    round in which no controller moves by more than 0.3 % ends it. `several` and `held` serve the last check, as
-    `check_several` has them. `step` is called with a word after each tuning.
+    round in which no controller moves by more than 0.3 % ends it. `together`, `fits` and `recorded_under` serve the
+    last check, as `check` has them. With `grow` each loop's structure grows in the first round, as in `tune`. `step`
+    is called with a word after each tuning.
 
     With the others closed the plant of a loop may be unstable where they need it to be stable: the unstable poles of
     each such plant are counted from the matrix. What comes out is a point that no loop improves on alone, not the best
-    for all; the order of the loops matters. Refuses fewer than two loops and what `tune` and `square_part` refuse.
+    for all; the order of the loops matters. Refuses what `tune` and `square_part` refuse.
     """
     given = {one.loop: one for one in controllers}
     wishes = {one.loop: one for one in requirements}
     names = (*wishes, *(name for name in given if name not in wishes))
-    if len(names) < 2:
-        raise WrongUseError("several loops are two at least", ", ".join(names) or "none", "one alone: tune")
-    squares = [square_part(frf, names)[0] for frf in frfs]
+    squares = [square_part(frf, names, least=1)[0] for frf in frfs]
     state = _State(squares, names, wishes, dict(given))
+    growing = {"grow": grow, "least_gain": least_gain}
     turns: list[Turn] = []
     for number in range(1, rounds + 1):
         mine = []
         for loop in wishes:
-            mine.append(state.turn(number, loop, seed, starts, draws))
+            search = {"seed": seed, "draws": draws, "starts": starts} | (growing if number == 1 else {})
+            mine.append(state.turn(number, loop, search))
             step(f"round {number}: {loop} {mine[-1].tuning.bandwidth_hz:.3g} Hz")
         turns += mine
         if all(turn.moved < STILL for turn in mine):
             break
     found = tuple(state.controllers[name] for name in names)
-    verdict = check_several(frfs, found, requirements, several, loops=names, held=held)
+    verdict = check(frfs, found, requirements, fits, together=together, closed=names, recorded_under=recorded_under)
     still = all(turn.moved < STILL for turn in turns[-len(wishes) :])
-    return SeveralTuning(found, tuple(turns), verdict, still, tuple(dict.fromkeys(state.notes)))
+    return TunedLoops(found, tuple(turns), verdict, still, tuple(dict.fromkeys(state.notes)))
 
 
+@dataclass(eq=False)
 class _State:
     """Matrices, wishes, and the controllers as they stand."""
 
-    def __init__(
-        self,
-        frfs: Sequence[FRF],
-        names: tuple[str, ...],
-        wishes: Mapping[str, Requirements],
-        controllers: dict[str, Controller],
-    ) -> None:
-        self.frfs, self.names, self.wishes, self.controllers = frfs, names, wishes, controllers
-        self.notes: list[str] = []
+    frfs: Sequence[FRF]
+    names: tuple[str, ...]
+    wishes: dict[str, Requirements]
+    controllers: dict[str, Controller]
+    notes: list[str] = field(default_factory=list)
 
-    def turn(self, number: int, loop: str, seed: int, starts: int, draws: int) -> Turn:
+    def turn(self, number: int, loop: str, search: Mapping[str, Any]) -> Turn:
         """Tune one loop with the others as they stand, and let its controller stand."""
         others = tuple(name for name in self.names if name in self.controllers and name != loop)
-        plants = [self._met(frf, loop, others, k) for frf, k in zip(self.frfs, count(1))]
+        plants = [self._equivalent(frf, loop, others, k) for frf, k in zip(self.frfs, count(1))]
+        self.wishes[loop] = replace(self.wishes[loop], structure=bounded(self.wishes[loop].structure, plants))
         wish = self._wish(loop, others, plants)
         before = self.controllers.get(loop)
-        found = tune(
-            plants, wish, start=before, seed=seed, starts=starts if number == 1 else 1, draws=draws, explain=False
-        )
+        found = tune(plants, wish, start=before, explain=False, **{**search, **({} if number == 1 else {"starts": 1})})
         if number > 1 and not found.feasible:
-            found = tune(plants, wish, start=before, seed=seed, starts=starts, draws=draws, explain=False)
+            found = tune(plants, wish, start=before, explain=False, **search)
         self.controllers[loop] = found.controller
+        self.wishes[loop] = replace(self.wishes[loop], structure=found.structure)
         return Turn(number, loop, others, found, _moved(before, found.controller, self.frfs[0].frequency_hz))
 
     def _part(self, frf: FRF, names: Sequence[str]) -> FRF:
         k = [self.names.index(name) for name in names]
         return replace(pick(frf, k, k), loop="+".join(names))
 
-    def _met(self, frf: FRF, loop: str, others: tuple[str, ...], k: int) -> FRF:
+    def _equivalent(self, frf: FRF, loop: str, others: tuple[str, ...], k: int) -> FRF:
         """The plant that a loop meets while others are closed, and the rest is open."""
         closed = (loop, *others)
         part = self._part(frf, closed)
-        met = equivalent_plant(part, closed, loop, self.controllers).closed if others else part
-        return replace(met, loop=loop, recording=frf.recording or f"frf {k}", recorded_under=None)
+        equivalent = equivalent_plant(part, closed, loop, self.controllers).closed if others else part
+        return replace(equivalent, loop=loop, recording=frf.recording or f"frf {k}", recorded_under=None)
 
     def _wish(self, loop: str, others: tuple[str, ...], plants: Sequence[FRF]) -> Requirements:
         """A loop's wishes with the unstable poles that its plant has while others are closed."""
@@ -166,9 +170,9 @@ class _State:
             return replace(wish, unstable_poles=wish.unstable_poles or 0)
         counts = [self._unstable(frf, others) for frf in self.frfs]
         if len(set(counts)) > 1:
-            told = ", ".join(f"{n} at {plant.recording}" for n, plant in zip(counts, plants, strict=True))
+            counted = ", ".join(f"{n} at {plant.recording}" for n, plant in zip(counts, plants, strict=True))
             raise WrongUseError(
-                f"with {loop} open the other loops have different numbers of unstable poles", told,
+                f"with {loop} open the other loops have different numbers of unstable poles", counted,
                 "start from controllers that hold the other loops by themselves, or tune the points apart",
             )  # fmt: skip
         return replace(wish, unstable_poles=counts[0])
@@ -183,8 +187,8 @@ class _State:
             found = None if loop.integrators is None else unstable_count(loop)
         else:
             own = [self.controllers[name] for name in closed]
-            matrices, _ = loop_matrices([part], own, SeveralRequirements(unstable_poles=0), loops=closed)
-            found = encirclement_count(next(iter(matrices.values())))
+            loops, _ = matrix_loops(Closed((part,), tuple(own), ()), Requirements(unstable_poles=0))
+            found = encirclement_count(loops[0])
         if isinstance(found, int):
             return max(found, 0)
         self.notes.append(f"{', '.join(closed)} closed alone are taken to be stable at {frf.recording}")

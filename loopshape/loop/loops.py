@@ -1,0 +1,370 @@
+"""FRFs, controllers and requirements -> the loops on the lines that a check looks at, and what had to be assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.units import db, from_db
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.loop import Loop
+from loopshape.data.requirement.requirements import Requirements
+from loopshape.data.response.frf import FRF, Hold
+from loopshape.data.response.model import Fit
+from loopshape.data.response.smoothed import Scatter
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant
+from loopshape.identify.matrix.interaction import square_part
+from loopshape.identify.smooth.smoothing import merged, smoothed
+from loopshape.loop.matrix import determinant
+from loopshape.loop.predict.step_response import models_within
+from loopshape.loop.stability.low_end import low_order
+from loopshape.loop.stability.obstacles import RADIUS_95, Undecided
+from loopshape.loop.stability.stability import unstable_count
+
+#: draws of a fit's parameters from which its deviation below the lowest line is taken
+DRAWN = 50
+#: lines above the band used are known where their relative deviation is below the first, noise alone above the second
+KNOWN_BEYOND, NOISE_ALONE = 0.3, 1.0
+
+
+def loops_of(
+    frfs: Sequence[FRF],
+    scheduled: Controller | GainScheduled,
+    requirements: Requirements,
+    fits: Sequence[Fit] = (),
+    *,
+    counted: bool = True,
+) -> tuple[list[Loop], tuple[str, ...]]:
+    """Loops on the lines that a check looks at, smoothed, and what it had to assume.
+
+    Integrators of the plant come from the requirements, else from a fit of the same recording, else from phase
+    and slope of the lowest lines; unstable poles from the requirements, else from the count of the loop that was
+    recorded under its own controller, else there are none where the recording was made in open loop, else from a fit
+    that leaves nothing but noise; otherwise they are not known. What had to be assumed is noted,
+    of poles where they are `counted` here and not elsewhere. A schedule gives each its frozen controller.
+    """
+    if requirements.input_output_disk_margin is not None:
+        what = "input_output_disk_margin is what several loops keep together"
+        raise WrongUseError(what, f"loop {requirements.loop!r}", "ask for its disk_margin")
+    found, notes = [], []
+    for measured in frfs:
+        controller = scheduled if isinstance(scheduled, Controller) else scheduled.at(measured.operating_point)
+        band = requirements.band_hz
+        frf, left_out = _without_zeros(measured, band)
+        frf, fewer = _merged(frf)
+        lines = frf.between(*band) if band else frf.valid_lines()
+        if controller.rate_hz != frf.rate_hz and frf.rate_hz > 0.0:
+            raise WrongUseError(
+                f"the controller of loop {controller.loop} runs at another rate than the recording {frf.recording}",
+                f"{controller.rate_hz:g} and {frf.rate_hz:g} Hz",
+                "give the controller the recording's rate_hz: its coefficients hold at one rate alone",
+            )
+        if controller.added_hold and (frf.recorded_under is not None or frf.hold is Hold.INCLUDED):
+            raise WrongUseError(
+                f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
+            )
+        fit, unused = _fit_of(fits, frf, measured, requirements)
+        beyond, model = beyond_lines(frf, lines), None if fit is None else fit.model
+        plant, scatter = smoothed(frf, band)
+        integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
+        found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
+        notes += [
+            text
+            for text in (left_out, fewer, unused, note if counted else "", _narrowed(frf, lines, controller))
+            if text
+        ]
+    return found, tuple(dict.fromkeys(notes))
+
+
+def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str]:
+    """The lines that are not exactly zero, and a note of those left out; refuses an FRF that has no other."""
+    lines = frf.between(*band) if band else frf.valid_lines()
+    if not lines.siso.any():
+        raise WrongUseError(
+            f"the FRF of loop {frf.loop}, recording {frf.recording}, is zero: a dead sensor?",
+            f"{lines.siso.size} lines of 0",
+            "look at its signals, then measure again",
+        )
+    zero = frf.siso == 0.0
+    if not zero.any():
+        return frf, ""
+    first_hz = frf.frequency_hz[zero][0]
+    note = f"lines of {frf.recording} that are exactly zero were left out: {zero.sum()}, the first at {first_hz:.4g} Hz"
+    return frf.select(~zero), note
+
+
+def _merged(frf: FRF) -> tuple[FRF, str]:
+    """The FRF on the frequencies that a check reads, and a note where these are fewer than were measured."""
+    fewer = merged(frf)
+    if fewer is frf:
+        return frf, ""
+    many, few = frf.frequency_hz.size, fewer.frequency_hz.size
+    return fewer, f"{many} frequencies of {frf.recording} were averaged to {few}, where they differ by noise alone"
+
+
+def _narrowed(frf: FRF, lines: FRF, controller: Controller) -> str:
+    """A note where valid lines outside the band used show |S| 1 dB larger than those within; else nothing."""
+    outside = frf.valid & ~np.isin(frf.frequency_hz, lines.frequency_hz)
+    outside &= frf.frequency_hz < 0.5 * controller.rate_hz
+    if not outside.any():
+        return ""
+    near = np.abs(1.0 + controller.response(frf.frequency_hz[outside]) * frf.siso[outside])
+    within = float(np.abs(1.0 + controller.response(lines.frequency_hz) * lines.siso).min())
+    k = int(np.argmin(near))
+    if near[k] > within / from_db(1.0):
+        return ""
+    return (
+        f"{frf.recording} is used from {lines.frequency_hz[0]:.4g} to {lines.frequency_hz[-1]:.4g} Hz only (band_hz):"
+        f" at {frf.frequency_hz[outside][k]:.4g} Hz, a valid frequency, |S| reads {-float(db(near[k])):.3g} dB"
+    )
+
+
+def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
+    """Lines above those used, at the largest that their own 95 % circles allow: a check must not overlook them.
+
+    Not those that are noise alone, known worse than to 100 %, unless lines above them are known to 30 %.
+    """
+    size = np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
+    relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / size
+    above = frf.frequency_hz > lines.frequency_hz[-1]
+    known = np.flatnonzero(above & (relative < KNOWN_BEYOND))
+    rows = above & (relative <= NOISE_ALONE)
+    rows[: known[-1] + 1 if known.size else 0] |= above[: known[-1] + 1 if known.size else 0]
+    if not rows.any():
+        return None
+    found = frf.select(rows)
+    return replace(found, response=found.response * (1.0 + RADIUS_95 * relative[rows])[:, None, None])
+
+
+def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirements) -> tuple[Fit | None, str]:
+    """The fit that may speak for the plant below the measured band, and a note where there is one that may not.
+
+    It was made for this FRF, ended well, leaves nothing but noise, contradicts no declaration, and its covariance tells
+    the plant below the lowest line down to a thousandth of it.
+    """
+    mine = [x for x in fits if (x.recording, x.loop) == (frf.recording, frf.loop)]
+    if not mine:
+        return None, ""
+    fit = mine[0]
+    poles = ("unstable poles", requirements.unstable_poles, fit.model.unstable_poles())
+    integrators = ("integrators", requirements.integrators, fit.model.integrators())
+    against = next((x for x in (poles, integrators) if x[1] is not None and x[1] != x[2]), None)
+    if fit.frf_digest not in ("", measured.digest):
+        why = "it was made for another FRF"
+    elif fit.outcome == "not_converged":
+        why = "it did not converge"
+    elif not fit.sufficient:
+        why = f"it leaves more than noise (misfit {fit.misfit_db:.2g} dB)"
+    elif against is not None:
+        why = f"it has {against[2]} {against[0]}, and {against[1]} are declared"
+    elif _spread_below(fit, float(frf.frequency_hz[0])) > KNOWN_BEYOND:
+        why = "its parameters are not known well enough to tell the plant below the lowest frequency"
+    else:
+        return fit, ""
+    return None, f"the fit of {frf.recording} is not used: {why}"
+
+
+def _spread_below(fit: Fit, first_hz: float) -> float:
+    """Largest relative deviation of a fit's response below a frequency in Hz, by its parameters' covariance."""
+    f = np.geomspace(1e-3 * first_hz, first_hz, 20)
+    drawn = np.array([model.response(f) for model in models_within(fit, DRAWN, 0)])
+    return float(np.sqrt(np.mean(np.abs(drawn / fit.model.response(f) - 1.0) ** 2, axis=0)).max())
+
+
+def _open_loop_poles(
+    frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
+) -> tuple[int | None, int | None, str]:
+    """Integrators and unstable poles of the plant (None: not known), and a note where they were assumed."""
+    integrators, note = _integrators(frf, requirements, fit)
+    if requirements.unstable_poles is not None:
+        return integrators, requirements.unstable_poles, note
+    held = _held_poles(frf, integrators, fit, beyond, raw, scatter)
+    if held is not None and held < 0:
+        note = (
+            f"the loop that was recorded at {frf.recording} would be unstable by this FRF: check sign, injection and"
+            " integrators"
+        )
+        return None, None, note
+    if held is not None:
+        unstable, reason = held, "because the loop that was recorded was stable"
+    elif frf.open_loop:
+        unstable, reason = 0, "because it was recorded in open loop"
+    elif fit is not None and fit.sufficient:
+        unstable, reason = fit.model.unstable_poles(), "from its fit"
+    else:
+        return integrators, None, note
+    if unstable:
+        word = "pole" if unstable == 1 else "poles"
+        note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable {word}, {reason}"
+    return integrators, unstable, note
+
+
+def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, str]:
+    """Declared, or the fit's, or what phase and slope of the lowest lines agree on, None where they do not."""
+    declared = requirements.integrators
+    if fit is not None:
+        return fit.model.integrators() if declared is None else declared, ""
+    if declared is not None:
+        return declared, ""
+    by_phase, by_slope = low_order(frf)
+    integrators = round(by_phase)
+    if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
+        return (
+            None,
+            f"the plant's lowest frequencies look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
+        )
+    word = "integrator" if integrators == 1 else "integrators"
+    if integrators and requirements.unstable_poles:
+        return None, (
+            f"the plant's lowest frequencies look like {integrators} {word}, or like unstable poles that lie below"
+            " them: declare integrators"
+        )
+    return integrators, (
+        f"plant taken to have {integrators} {word}, from its lowest frequencies: {by_phase:.1f} by phase,"
+        f" {by_slope:.1f} by slope at {frf.frequency_hz[0]:.3g} Hz; declare integrators if that is not so"
+    )
+
+
+def _held_poles(
+    frf: FRF, integrators: int | None, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
+) -> int | None:
+    """Unstable poles of the plant by the count of the loop that was recorded, which stood; None where it cannot tell.
+
+    A loop that stood has no unstable pole, so the encirclements of -1 by its own controller's L are the
+    plant's unstable poles. Negative where no plant fits the count.
+    """
+    if frf.recorded_under is None or integrators is None or frf.frequency_hz[-1] >= 0.5 * frf.recorded_under.rate_hz:
+        return None
+    loop = Loop(frf, frf.recorded_under, integrators, 0, None if fit is None else fit.model, beyond, raw, scatter)
+    missing = unstable_count(loop)
+    return None if isinstance(missing, Undecided) else -missing
+
+
+def points_of(frfs: Sequence[FRF]) -> list[str]:
+    """Names of operating points, one an FRF; refuses two of one recording."""
+    names = [frf.recording or f"frf {k + 1}" for k, frf in enumerate(frfs)]
+    if len(set(names)) != len(names):
+        raise WrongUseError("two FRFs of one loop come from the same recording", ", ".join(names))
+    return names
+
+
+class Closed(NamedTuple):
+    """Loops that are closed: their part of each FRF and, in its order, controllers, and the recordings' or none."""
+
+    frfs: tuple[FRF, ...]
+    controllers: tuple[Controller | GainScheduled, ...]
+    recorded_under: tuple[Controller, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The loops by their controllers."""
+        return tuple(one.loop for one in self.controllers)
+
+
+def closed_loops(
+    frfs: Sequence[FRF],
+    controllers: Sequence[Controller | GainScheduled],
+    loops: Sequence[str] | None = None,
+    recorded_under: Sequence[Controller] = (),
+) -> Closed:
+    """The loops that are closed, all of the FRFs by default; those left out stay open.
+
+    One controller is that of a 1 x 1 FRF whatever their names. Refuses loops without a controller or an output.
+    """
+    alone = loops is None and len(controllers) == 1 and all(frf.response.shape[1:] == (1, 1) for frf in frfs)
+    parts = [(x, (controllers[0].loop,)) if alone else square_part(x, loops, least=1) for x in frfs]
+    every, known = {names for _, names in parts}, {one.loop: one for one in controllers}
+    if len(every) > 1:
+        raise WrongUseError(
+            "the matrices are of different loops", "; ".join(", ".join(n) for n in sorted(every)), "name the loops"
+        )
+    names = parts[0][1]
+    if missing := [name for name in names if name not in known]:
+        raise WrongUseError(
+            f"no controller for {', '.join(missing)}", f"controllers of {', '.join(known) or 'no loop'}",
+            "add it, or name the loops that are closed; those left out stay open",
+        )  # fmt: skip
+    before = {one.loop: one for one in recorded_under}
+    whole = all(len(frf.inputs) == len(names) for frf in frfs)  # those left out were closed then
+    under = tuple(before[name] for name in names) if whole and set(names) <= set(before) else ()
+    made = tuple(frf if len(names) > 1 or alone else replace(frf, loop=names[0]) for frf, _ in parts)
+    return Closed(made, tuple(known[name] for name in names), under)
+
+
+def matrix_loops(closed: Closed, together: Requirements) -> tuple[tuple[Loop, ...], list[str]]:
+    """Several loops on the lines that a check looks at, one an FRF, and what had to be assumed of the plant.
+
+    A schedule gives each its frozen controllers.
+    """
+    loops, notes = [], []
+    for recording, frf in zip(points_of(closed.frfs), closed.frfs, strict=True):
+        at = [c if isinstance(c, Controller) else c.at(frf.operating_point) for c in closed.controllers]
+        made, note = _matrix_loop(replace(frf, recording=recording), at, together, closed.recorded_under)
+        loops.append(made)
+        notes += [f"{recording}: {text}" for text in note]
+    return tuple(loops), notes
+
+
+def _matrix_loop(
+    frf: FRF, controllers: Sequence[Controller], together: Requirements, recorded_under: Sequence[Controller]
+) -> tuple[Loop, list[str]]:
+    """The loops on the lines that a check looks at, and what had to be assumed of the plant."""
+    lines = frf.between(*together.band_hz) if together.band_hz else frf.valid_lines()
+    poles = together.integrators, together.unstable_poles
+    made = Loop(lines, controllers, *poles, beyond=beyond_lines(frf, lines), recorded_under=recorded_under)
+    notes: list[str] = []
+    if made.recorded_under and None in poles and isinstance(determinant.count_from_held(made), int):
+        return replace(made, integrators=None), notes  # the recorded loops tell all, and nothing has to be assumed
+    if together.integrators is None:
+        integrators, note = determinant.read_integrators(made)
+        made, notes = replace(made, integrators=integrators), [note]
+    if together.unstable_poles is not None or made.integrators is None:
+        return made, notes
+    unstable, assumed = _recorded_poles_of_all(made)
+    return replace(made, unstable_poles=unstable), [*notes, *assumed]
+
+
+def _recorded_poles_of_all(loops: Loop) -> tuple[int | None, tuple[str, ...]]:
+    """Unstable poles of the plant by the loops that were recorded, which stood; None where they do not tell."""
+    if loops.plant.open_loop or not loops.recorded_under:
+        return 0 if loops.plant.open_loop else None, ()
+    count = determinant.encirclement_count(
+        replace(loops, controllers=loops.recorded_under, recorded_under=(), unstable_poles=0)
+    )
+    if not isinstance(count, int):
+        return None, ()
+    if count > 0:
+        note = "the loops that were recorded would be unstable by this FRF: check signs, injection and integrators"
+        return None, (note,)
+    word = {0: "no unstable poles", -1: "1 unstable pole"}.get(count, f"{-count} unstable poles")
+    return -count, (f"plant taken to have {word}, because the loops that were recorded were stable",)
+
+
+def equivalent_plants(name: str, loops: Sequence[Loop]) -> tuple[FRF, ...]:
+    """The plant that a loop meets with all others closed, at each operating point."""
+    made = (equivalent_plant(m.plant, m.names, name, {own.loop: own for own in m.controllers}).closed for m in loops)
+    return tuple(replace(plant, recorded_under=None) for plant in made)
+
+
+def unstable_poles_met(name: str, loops: Sequence[Loop], required: Requirements) -> int | None:
+    """Unstable poles of the plants that a loop meets with all others closed, None where they are not known.
+
+    Those of all loops closed, by det(I + L), and as many more as L of this loop alone encircles -1. None too where
+    operating points differ.
+    """
+    asked, counts = replace(required, integrators=None, unstable_poles=0), set()
+    for plant, m in zip(equivalent_plants(name, loops), loops, strict=True):
+        (own,) = (one for one in m.controllers if one.loop == name)
+        (loop,), _ = loops_of([plant], own, asked, counted=False)
+        together = determinant.closed_loops_stability(m).unstable_poles
+        alone = None if loop.integrators is None else unstable_count(loop)
+        if together is None or not isinstance(alone, int):
+            return None
+        counts.add(together - alone)
+    found = counts.pop()
+    return found if not counts and found >= 0 else None
