@@ -67,7 +67,6 @@ EXCEPT = {
 LATER = (
     "loop/margin/", "loop/matrix/", "data/control/loop.py",
     "data/requirement/requirements.py", "data/result/", "view/verdict/", "view/html/verdict_parts.py",
-    "design/several.py",
 )  # fmt: skip
 
 
