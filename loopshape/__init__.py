@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from loopshape.core.outcomes import Outcome as Outcome
     from loopshape.data.control.controller import Controller as Controller
     from loopshape.data.control.fixed import fixed as fixed
-    from loopshape.data.control.loop import Loop as Loop
     from loopshape.data.control.shorthand import biquad as biquad
     from loopshape.data.control.shorthand import complex_lead as complex_lead
     from loopshape.data.control.shorthand import controller as controller
@@ -53,6 +52,7 @@ if TYPE_CHECKING:
     from loopshape.data.signal.recording import Recording as Recording
     from loopshape.data.signal.run import Run as Run
     from loopshape.design.tune import Tuning as Tuning
+    from loopshape.loop.loop import Loop as Loop
     from loopshape.toolbox import diagrams as diagrams
     from loopshape.toolbox import formats as formats
     from loopshape.toolbox import limits as limits
@@ -91,7 +91,7 @@ _HOME = {
     "Disturbance": "data.signal.disturbance",
     "FRF": "data.response.frf",
     "Fit": "data.response.model",
-    "Loop": "data.control.loop",
+    "Loop": "loop.loop",
     "LoopshapeError": "core.errors",
     "Margins": "data.result.margins",
     "Mask": "data.requirement.limits_over",

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from loopshape.core.units import Array, db, deg
-from loopshape.data.control.loop import Loop
+from loopshape.loop.loop import Loop
 from loopshape.toolbox.arm.source import value
 from loopshape.view.plots.curves import frequency_axis, unwrapped_deg
 from loopshape.view.plots.nichols_guides import constant_s, nichols_coordinates

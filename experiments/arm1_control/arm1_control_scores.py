@@ -10,9 +10,9 @@ from arm1_motion import Crossing, Followed, Moved, fastest_rise_s, pressure_rate
 from arm1_scores import AGREES, APART, DIFFERS, PARTLY, Score, holds, judged
 
 from loopshape.core.units import rad
-from loopshape.data.control.loop import Loop
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.prediction import Indicators
+from loopshape.loop.loop import Loop
 from loopshape.toolbox.arm.source import number, value
 
 WORDS = {

@@ -12,13 +12,13 @@ from source_controllers import angle_controller, pressure_controller, third_orde
 
 from loopshape.core.units import Array, angular, db, from_db
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
 from loopshape.identify.frequency_response import estimate_frf
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS

@@ -10,12 +10,12 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, hz
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 
 KINDS = (

@@ -1,4 +1,4 @@
-"""Known plants, the loops around them, and recordings of both; signs and places as drawn in `data.control.loop`."""
+"""Known plants, the loops around them, and recordings of both; signs and places as drawn in `loop.loop`."""
 
 from __future__ import annotations
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, ComplexArray
 from loopshape.data.control.block import BlockTemplate
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.design.tune import tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.loop.verdict import check
 from loopshape.toolbox.limits import bound as bound_module

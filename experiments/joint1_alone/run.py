@@ -22,7 +22,6 @@ from source_controllers import controller  # noqa: E402
 
 from loopshape.core.units import TWO_PI  # noqa: E402
 from loopshape.data.control.controller import Controller  # noqa: E402
-from loopshape.data.control.loop import Loop  # noqa: E402
 from loopshape.data.requirement.requirements import Requirements  # noqa: E402
 from loopshape.data.response.frf import FRF  # noqa: E402
 from loopshape.data.response.model import Fit  # noqa: E402
@@ -33,6 +32,7 @@ from loopshape.identify.fit import fit, structure_by_name  # noqa: E402
 from loopshape.identify.frequency_response import estimate_realisations  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.requirements import read_requirements  # noqa: E402
+from loopshape.loop.loop import Loop  # noqa: E402
 from loopshape.loop.loops import loops_of  # noqa: E402
 from loopshape.loop.predict.indicators import recorded_steps  # noqa: E402
 from loopshape.loop.verdict import check  # noqa: E402

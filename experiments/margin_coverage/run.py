@@ -12,13 +12,13 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.response.model import TransferFunction
 from loopshape.data.result.margins import Margins
 from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.verdict import check
 

@@ -22,7 +22,6 @@ import numpy as np
 from loopshape.core.units import Array
 from loopshape.data.control.block import BlockTemplate, Free
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
@@ -36,6 +35,7 @@ from loopshape.design.problem.shifts import Copy, closer, shifted_loops, shifted
 from loopshape.design.search import Goal, initial_point, search, step_within
 from loopshape.design.starts import leaps, random_starts
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import points_of
 from loopshape.loop.margin.error_rms import error_warnings, of_points
 from loopshape.loop.order import with_orders

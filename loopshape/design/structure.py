@@ -10,8 +10,8 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
+from loopshape.loop.loop import Loop
 
 #: a problem needs one of these: without them a loop comes as near to -1 as it likes
 NEAR = tuple(limit.name for limit in LIMITS if limit.keeps_off)

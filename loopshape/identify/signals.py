@@ -21,7 +21,7 @@ KNOWN_CONTROL = 0.1
 
 @dataclass(frozen=True, eq=False)
 class LoopSignals(Generic[S]):
-    """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.data.control.loop`.
+    """Plant input u, output y and instrument n (n,) of one loop, as drawn in `loopshape.loop.loop`.
 
     u is what enters the plant (z, plus n where n enters there). `instrument` is the injected signal, the
     moving reference, or u itself in open loop. `feedback` tells whether a loop was closed around them.

@@ -16,7 +16,6 @@ import numpy as np
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMITS, Requirements
 from loopshape.data.result.detuning import (
     SEARCHED_PERCENT,
@@ -29,6 +28,7 @@ from loopshape.data.result.detuning import (
 )
 from loopshape.data.result.margins import Margins, Reading
 from loopshape.identify.smooth.resonances import Resonance
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.margins import COLUMN_OF, Reader
 from loopshape.loop.shifted import Plant, ShiftedColumns, plant_of, read, scatter_of, seen_resonances
 from loopshape.loop.stability.obstacles import RADIUS_95

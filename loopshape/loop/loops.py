@@ -12,7 +12,6 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db, from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF, Hold
 from loopshape.data.response.model import Fit
@@ -20,6 +19,7 @@ from loopshape.data.response.smoothed import Scatter
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
 from loopshape.identify.smooth.smoothing import merged, smoothed
+from loopshape.loop.loop import Loop
 from loopshape.loop.matrix import determinant
 from loopshape.loop.predict.step_response import models_within
 from loopshape.loop.stability.low_end import low_order

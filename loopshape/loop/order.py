@@ -9,11 +9,11 @@ import numpy as np
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, from_db
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMITS, Limit, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Order, SettledBy, Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import path_of
 from loopshape.loop.points import point_outcome
 from loopshape.loop.stability.holes import POOR, median_of_five

@@ -10,10 +10,10 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, ComplexArray, db, deg
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
+from loopshape.loop.loop import Loop
 
 #: quantities that say how close L comes to -1, the most telling first
 CLOSENESS = tuple(x.name for x in sorted(LIMITS, key=lambda x: x.closeness) if x.closeness)

@@ -13,10 +13,10 @@ import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import interpolated
 from loopshape.loop.margin.margins import Reader
 from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, low_models

@@ -12,7 +12,6 @@ from loopshape.core.outcomes import Outcome
 from loopshape.core.units import db
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMITS, TOGETHER, Limit, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
@@ -21,6 +20,7 @@ from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import detuning_warnings
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.detuning import with_detuning
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import Closed, closed_loops, equivalent_plants, loops_of, matrix_loops, points_of
 from loopshape.loop.margin.error_rms import error_warnings, of_points, refuse_several_disturbed, with_error_rms
 from loopshape.loop.margin.margins import margins

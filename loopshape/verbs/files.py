@@ -17,9 +17,9 @@ from loopshape.data.signal.run import Run
 
 if TYPE_CHECKING:
     from loopshape.data.requirement.profile import Profile
-    from loopshape.data.result.run_report import RunReport
     from loopshape.design.tune import Tuning
     from loopshape.io.run.verify import Finding
+    from loopshape.loop.run_report import RunReport
 
 _READERS = {
     ".toml": "loopshape.io.write.controllers:read_loop_controllers",

@@ -11,7 +11,6 @@ from loopshape.verbs.watch import Unwatched, Watch
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from loopshape.data.control.loop import Loop
     from loopshape.data.requirement.requirements import Requirements
     from loopshape.data.response.frf import FRF
     from loopshape.data.response.interaction import Interaction
@@ -19,6 +18,7 @@ if TYPE_CHECKING:
     from loopshape.data.result.prediction import Prediction
     from loopshape.data.result.verdict import Verdict
     from loopshape.io.write.check_files import Checks, MatrixCheck
+    from loopshape.loop.loop import Loop
     from loopshape.loop.predict.remeasured import Remeasured
 
 

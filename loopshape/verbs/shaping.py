@@ -11,10 +11,10 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.block import Block
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops, equivalent_plants, matrix_loops, unstable_poles_met
 from loopshape.loop.verdict import check
 from loopshape.view.page.page import shape_page

@@ -11,13 +11,13 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.data.algebra import controller_frf
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import Interaction
 from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.view.plots import frequency
 from loopshape.view.plots import interaction as meetings

@@ -1,6 +1,7 @@
 """A detuning margin that makes no sense is refused, in the noun and in the file."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from bench_nouns import Detuning, Lost, MovedResonance, Reach
@@ -40,7 +41,7 @@ def test_a_file_with_a_shift_that_makes_no_sense(written, tmp_path):
 
 def test_a_verdict_with_a_detuning_comes_back_and_a_damaged_one_is_refused(tmp_path):
     path = tmp_path / "v.json"
-    found = margins({"detuning_percent": 1.5, "detuning": DETUNING})
+    found = replace(margins({"detuning_percent": 1.5}), detuning=DETUNING)
     write_verdicts(path, [checked({"r1": found})])
     (back,) = read_verdicts(path)
     assert back.verdict.margins["r1"].detuning == DETUNING

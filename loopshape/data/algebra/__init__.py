@@ -1,6 +1,6 @@
 """FRFs put together: products, sums, inverses, closed loops and closures, each with its covariance.
 
-Signs are those of the picture in `data.control.loop`: negative feedback, e = r - y. Products act from right to left,
+Signs are those of the picture in `loop.loop`: negative feedback, e = r - y. Products act from right to left,
 `product(P, K)` is P K with K first. Closures (linear fractional transformations) add no sign of their own.
 
 Covariances go through to first order: d of vec(A B) is (B^T x I) d vec(A) + (I x A) d vec(B), of vec(A^-1) it is

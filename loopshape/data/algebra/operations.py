@@ -132,7 +132,7 @@ class ClosedLoop:
 
 
 def feedback(P: FRF, K: Feedback, *, connect: str = "names") -> ClosedLoop:
-    """The closed loop of a plant and a controller, with the signs of the picture in `loopshape.data.control.loop`.
+    """The closed loop of a plant and a controller, with the signs of the picture in `loopshape.loop.loop`.
 
     K's inputs are P's outputs (as errors), its outputs P's inputs. Discrete controllers go with a plant from logged z
     to sampled y, which holds hold and computation; a plant measured as continuous goes through `held` first.

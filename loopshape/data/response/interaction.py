@@ -1,6 +1,6 @@
 """Coupling between the loops of one plant: coefficient, relative gains, equivalent plants, verdicts by band.
 
-P is the plant of the picture in `data.control.loop`, several loops wide: y = P z, loop i closing y_i onto z_i. All
+P is the plant of the picture in `loop.loop`, several loops wide: y = P z, loop i closing y_i onto z_i. All
 bounds are of 95 % at one line, of the FRF's own covariance; `identify.matrix.interaction` makes these from an FRF.
 """
 

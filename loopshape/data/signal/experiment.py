@@ -38,7 +38,7 @@ class LoopSetup:
     """One loop of a rig: the columns of its signals, and the controller that closes it.
 
     Columns as in a run folder; `output` may be a sum of columns. Signs and places as drawn in
-    `data.control.loop`. Columns that a rig does not log are None. A `schedule` stands in place of the controller.
+    `loop.loop`. Columns that a rig does not log are None. A `schedule` stands in place of the controller.
     `decoupling` are weights, by loop, of the controllers' outputs in what enters the plant here; empty for this loop's
     own alone, with weight 1. It counts as part of the plant: z is logged in front of it.
     """

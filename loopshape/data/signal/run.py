@@ -73,7 +73,7 @@ class Run:
         A recording with role "validation" is held out. Columns are `u_1`, `y_1`, `n_1`, `r_1`, by which a machine of
         your own (`ls.gap(run, model=...)`) names them; recordings of several such runs make one run:
         `ls.Run(rate_hz, (), [...])`.
-        Signs as drawn in `loopshape.data.control.loop`. Raises WrongUseError for lengths that differ, another word
+        Signs as drawn in `loopshape.loop.loop`. Raises WrongUseError for lengths that differ, another word
         for the injection, and what is no real number; BadSignalError for masked values, NaN and values above 1e50.
 
         Examples

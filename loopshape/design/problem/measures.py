@@ -19,12 +19,12 @@ import numpy as np
 from loopshape.core.kernels.loops import tuning_rows as kernel
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.controller import HALF_POWER
-from loopshape.data.control.loop import Loop
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.problem.peaks import norm_rows, peak_rows
 from loopshape.design.problem.problem import Opened, Problem
 from loopshape.design.problem.rows import DIP, DenseRows, Rows, Tighten, of_kernel, once, required, scaled
+from loopshape.loop.loop import Loop
 from loopshape.loop.stability.continued import continued
 
 

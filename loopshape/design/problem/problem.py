@@ -18,11 +18,11 @@ from loopshape.core.kernels.loops import tuning_rows as rows
 from loopshape.core.units import Array, ComplexArray, from_db
 from loopshape.data.control.block import BlockTemplate
 from loopshape.data.control.controller import Block, Controller, controller_grid_hz
-from loopshape.data.control.loop import Loop, above_hz
 from loopshape.data.requirement.limits_over import MASKED, weights
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.design import structure
 from loopshape.design.structure import Variable
+from loopshape.loop.loop import Loop, above_hz
 from loopshape.loop.margin.between import between_lines
 from loopshape.loop.stability.low_end import low_hz, low_models
 

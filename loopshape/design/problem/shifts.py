@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.detuning import worst_shift
+from loopshape.loop.loop import Loop
 from loopshape.loop.shifted import stretched
 from loopshape.loop.verdict import verdict_on
 

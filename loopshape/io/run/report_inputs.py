@@ -15,7 +15,6 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.equivalent import Equivalent
-from loopshape.data.result.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.fit import modes
@@ -25,6 +24,7 @@ from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
 from loopshape.io.write.check_files import fits_of, read_diagram
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
+from loopshape.loop.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.loop.verdict import check_loops
 
 FIGURES_BYTES = 700_000  # of the pictures that a report carries, together

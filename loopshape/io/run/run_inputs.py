@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from loopshape.data.result.run_report import GivenText, InputFile, StoredFigure
 from loopshape.io.files import PART, reading
 from loopshape.io.provenance import file_sha256
+from loopshape.loop.run_report import GivenText, InputFile, StoredFigure
 
 FIGURES = "figures"
 #: what a report never reads: reports, and what a killed write left

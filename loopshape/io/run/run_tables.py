@@ -109,8 +109,10 @@ class LoopTable:
 
 
 def controller_table(controller: Controller) -> dict[str, Any]:
-    """The keys of a controller beside the name of its loop and its rate; those at their default are left out."""
-    return {key: value for key, value in table_of(controller).items() if key in CONTROLLER_KEYS}
+    """The keys of a controller beside the name of its loop and its rate, blocks last; defaults are left out."""
+    own = {"discretisation": controller.discretisation, **table_of(controller)}
+    blocks = own.pop("controller")
+    return {key: own[key] for key in CONTROLLER_KEYS if key in own} | {"controller": blocks}
 
 
 def schedule_table(schedule: GainScheduled) -> dict[str, Any]:

@@ -11,7 +11,6 @@ from loopshape.core.json_ready import Plain, keys
 from loopshape.core.outcomes import Change
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
@@ -28,6 +27,7 @@ from loopshape.io.write.fits import read_fits
 from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops
 from loopshape.loop.margin.error_rms import refuse_several_disturbed
 from loopshape.loop.verdict import check_loops

@@ -14,11 +14,11 @@ import numpy as np
 from loopshape.core.kernels.loops.encirclements import turns
 from loopshape.core.units import TWO_PI, Array, ComplexArray, hz
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.smoothing import SEED, drawn_errors
+from loopshape.loop.loop import Loop
 from loopshape.loop.stability.mode_clusters import SHARPEST, ModeCluster
 
 #: draws of the errors of lines that were not smoothed

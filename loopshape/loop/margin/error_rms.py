@@ -18,10 +18,10 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.noise import rms_interval
 from loopshape.core.outcomes import ClosedLoop
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.margins import Margins, Reading
 from loopshape.data.signal.disturbance import Disturbance
+from loopshape.loop.loop import Loop
 from loopshape.loop.stability.continued import continued
 
 #: share of the error's power outside the measured band from which on a warning is given

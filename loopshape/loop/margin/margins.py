@@ -12,12 +12,12 @@ from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.toolboxes import function_at
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.controller import controller_bandwidth_hz
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
 from loopshape.data.requirement.weight import Weight, over
 from loopshape.data.response.smoothed import by_draw, spread
 from loopshape.data.result.margins import Margins, Reading
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import axis_crossings, interpolated, unit_crossings
 from loopshape.loop.stability.holes import gaps_of
 from loopshape.loop.stability.low_end import BELOW_RATIOS, LowModel, in_sight, is_large, low_models, poles_at_0

@@ -16,10 +16,10 @@ import numpy as np
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, ComplexArray, deg, rad
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.loop import Loop, characteristic_loci, responses, sensitivity
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix
+from loopshape.loop.loop import Loop, characteristic_loci, responses, sensitivity
 from loopshape.loop.margin.between import Path, chords_to_minus_one
 from loopshape.loop.stability.obstacles import ON_IT, Sampling, Undecided, doubt, sampling
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles

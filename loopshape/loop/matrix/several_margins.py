@@ -10,10 +10,10 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
-from loopshape.data.control.loop import Loop, responses, sensitivity
 from loopshape.data.response.smoothed import Dense
 from loopshape.data.result.margins import Margins
 from loopshape.data.signal.channel import Channel, sum_terms
+from loopshape.loop.loop import Loop, responses, sensitivity
 from loopshape.loop.margin.margins import REACH
 from loopshape.loop.matrix.determinant import closed_loops_stability, followed_matrix
 from loopshape.loop.matrix.structured import mu_bounds, refined, upper_at

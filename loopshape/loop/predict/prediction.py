@@ -12,12 +12,12 @@ from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import db
 from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction, Step, StepComparison
 from loopshape.data.signal.channel import unit_of
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops, equivalent_plants, loops_of, matrix_loops
 from loopshape.loop.matrix.determinant import closed_loops_stability
 from loopshape.loop.predict.agreement import noticed_db, on_common_lines, paired, tested

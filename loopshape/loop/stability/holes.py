@@ -8,9 +8,9 @@ from functools import lru_cache
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
+from loopshape.loop.loop import Loop
 from loopshape.loop.stability.sampling import visible_residue
 
 #: fewer lines than this say nothing of what lies between them

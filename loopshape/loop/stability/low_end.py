@@ -14,9 +14,9 @@ import numpy as np
 
 from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, deg
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.averages import pooled_variance
+from loopshape.loop.loop import Loop
 
 #: models may carry the loop this far below its first line, as a ratio of frequencies
 EXTRAPOLATED_BELOW = 1.3

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.control.loop import Loop
 from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import (
     Path,
     chords_to_minus_one,

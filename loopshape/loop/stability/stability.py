@@ -18,9 +18,9 @@ from loopshape.core.kernels.loops import encirclements as kernel
 from loopshape.core.kernels.loops.encirclements import FIT_DEG as FIT_DEG
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import ComplexArray, deg, hz
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.resonances import Phase, resonances
+from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import Path, between_lines, measured, path_of
 from loopshape.loop.stability.low_end import (
     AGREE,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from base64 import b64encode
 
 from loopshape.data.result.equivalent import Diagram
-from loopshape.data.result.run_report import RunReport, asked_outcome
+from loopshape.loop.run_report import RunReport, asked_outcome
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.verdict_parts import margins_of
 from loopshape.view.html.words import badge

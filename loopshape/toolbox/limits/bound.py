@@ -17,10 +17,10 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.loop.verdict import check
 from loopshape.toolbox.limits.bound_certificate import CLEAR, Certificate, Poles, certificate

@@ -16,8 +16,8 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.loop.loop import Loop
 from loopshape.loop.stability.stability import closed_loop_stability
 
 #: nodes per decade between a plant's first and last line, and outside

@@ -17,12 +17,12 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.block import Block, BlockTemplate, Free, series_response
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.design.growth import library
 from loopshape.design.tune import Tuning, tune
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.toolbox.limits.bound import excluded
 from loopshape.toolbox.limits.bound_nodes import counted

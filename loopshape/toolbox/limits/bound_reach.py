@@ -19,8 +19,8 @@ from scipy.linalg import cho_factor, cho_solve
 
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
+from loopshape.loop.loop import Loop
 from loopshape.toolbox.limits.bound_nodes import Ceilings, Nodes, impossible, nodes
 from loopshape.toolbox.limits.bound_regions import own_ceilings
 

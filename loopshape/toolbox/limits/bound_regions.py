@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
+from loopshape.loop.loop import Loop
 from loopshape.toolbox.limits.bound_nodes import Ceilings, Nodes, ceiling_above, ceilings, spans
 
 #: directions of the polygons' sides

@@ -8,7 +8,7 @@ import numpy as np
 
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.model import Estimate, Fit
-from loopshape.data.result.run_report import FittedModel
+from loopshape.loop.run_report import FittedModel
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.words import DASH, Cell, badge, details, figure, named, number, point, table
 

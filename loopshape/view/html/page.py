@@ -10,8 +10,8 @@ from typing import Any
 from loopshape.core.toolboxes import found, function_at
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.run_report import CheckedLoop, RunReport, StoredFigure
 from loopshape.data.result.verdict import Verdict
+from loopshape.loop.run_report import CheckedLoop, RunReport, StoredFigure
 from loopshape.view.html import model_parts, run_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots

@@ -8,8 +8,8 @@ from typing import Any
 
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.run_report import CheckedLoop
 from loopshape.data.result.verdict import RequirementResult
+from loopshape.loop.run_report import CheckedLoop
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.traces import Trace, embedded
 from loopshape.view.html.words import count, number

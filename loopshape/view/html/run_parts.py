@@ -8,7 +8,7 @@ import numpy as np
 
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.run_report import Envelope, Missing, RecordingSheet
+from loopshape.loop.run_report import Envelope, Missing, RecordingSheet
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.words import DASH, Cell, count, details, figure, named, number, point, table, together
 from loopshape.view.labels import methods_by_loop

@@ -10,8 +10,8 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
+from loopshape.loop.loop import Loop
 from loopshape.view.html.markup import packed
 from loopshape.view.html.words import point
 from loopshape.view.key import key_of

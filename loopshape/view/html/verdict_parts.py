@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.outcomes import ClosedLoop
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
 from loopshape.data.result.detuning import Reach
 from loopshape.data.result.margins import Margins
-from loopshape.data.result.run_report import CheckedLoop, RunReport
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import Row, band_text, row_of
+from loopshape.loop.loop import Loop
+from loopshape.loop.run_report import CheckedLoop, RunReport
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.words import (
     DASH,

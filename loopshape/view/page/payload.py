@@ -18,7 +18,6 @@ from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.block import BLOCK_KINDS, Block
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop, known_above, reach_above
 from loopshape.data.requirement.limits_over import MASKED, AtPoints
 from loopshape.data.requirement.requirements import LIMITS, Limit, Requirements
 from loopshape.data.requirement.weight import Objective
@@ -32,6 +31,7 @@ from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.identify.smooth.smoothing import Recipe, recipe_of
 from loopshape.loop import detuning, shifted
+from loopshape.loop.loop import Loop, known_above, reach_above
 from loopshape.loop.loops import loops_of
 from loopshape.loop.margin import between, margins
 from loopshape.loop.predict import step_response

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import db, deg
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.points import margins_of, worst_of
 from loopshape.view.key import Entry, place_notes
 from loopshape.view.labels import point

@@ -17,8 +17,8 @@ from scipy.ndimage import median_filter
 
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.response.frf import FRF
+from loopshape.loop.loop import Loop
 
 NORMAL_95 = 1.959964
 FLOOR_DB = -400.0

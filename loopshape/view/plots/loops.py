@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.points import worst_of
 from loopshape.view.key import key_of, place_key, place_notes
 from loopshape.view.plots.curves import hide_inner

@@ -16,9 +16,9 @@ from matplotlib.patches import Circle, Polygon
 from matplotlib.ticker import MultipleLocator
 
 from loopshape.core.units import Array, db, deg
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.points import Worst, worst_of
 from loopshape.view.key import Entry, LabelRoom, corner_with_room, curve, key_of, place_entries, place_key
 from loopshape.view.plots.curves import NOT_VALID, draw_known, loop_phase_deg, nearest_branch

@@ -17,10 +17,10 @@ from matplotlib.ticker import FixedLocator
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.core.units import Array, db
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.points import margins_of, point_outcome, worst_of
 from loopshape.view.key import key_of, varying
 from loopshape.view.labels import number, numbers, quantity

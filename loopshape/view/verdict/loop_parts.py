@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
+from loopshape.loop.loop import Loop
 from loopshape.loop.points import NEAREST, Worst, band, margins_of
 from loopshape.view.key import Entry, Key, count, curve, varying
 from loopshape.view.labels import decibel, point, ratio, symbol, units_of

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db
-from loopshape.data.control.loop import Loop, characteristic_loci
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.margins import Margins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
+from loopshape.loop.loop import Loop, characteristic_loci
 from loopshape.loop.matrix.several_margins import gauge_matrix
 from loopshape.loop.matrix.structured import mu_bounds
 from loopshape.view.key import place_notes

@@ -1,6 +1,6 @@
 """Linear loops whose discrete plant is known, run exactly as difference equations; for the estimators' tests.
 
-Signals and signs as drawn in `data.control.loop`: n enters at the controller's input or at the plant's input, v is
+Signals and signs as drawn in `loop.loop`: n enters at the controller's input or at the plant's input, v is
 noise on the sensor. Everything may be (records, n): the last axis is time.
 """
 

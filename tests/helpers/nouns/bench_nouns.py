@@ -3,7 +3,6 @@
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Precision, step
 from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable, gain_scheduled
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.baseline import Checked
@@ -16,6 +15,7 @@ from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.identify.settings import Settings
 from loopshape.identify.structures import Integrator, Rational, ThirdOrder
+from loopshape.loop.loop import Loop
 
 __all__ = [
     "INDICATORS",

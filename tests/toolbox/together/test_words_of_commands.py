@@ -100,11 +100,11 @@ def test_a_plan_for_what_is_known_already_proposes_nothing(folder):
     assert "no further experiment is proposed" in said
     assert not list(Path(folder / "run").glob("plan_*"))
     told = json.loads(loopshape(*words, "--std-percent", 30.0, "--json")[1])
-    assert told["met"]
+    assert told["satisfied"]
     assert told["study"] is None
     assert told["std_before"] < 0.3
     told = json.loads(loopshape(*words, "--std-percent", 0.001, "--json")[1])
-    assert not told["met"]
+    assert not told["satisfied"]
 
 
 def roots(f_hz, std_hz, damping):

@@ -106,13 +106,6 @@ def test_a_complex_lead_of_damping_one_is_two_leads():
     np.testing.assert_allclose(series_response(one, s), series_response(two, s), rtol=1e-12)
 
 
-def test_growth_of_several_loops_at_once_is_refused(tmp_path):
-    from loopshape.verbs import runs
-
-    with pytest.raises(ls.errors.WrongUseError, match="one loop at a time"):
-        runs.tune(tmp_path, tmp_path / "requirements.toml", matrix=True, grow=2)
-
-
 def test_what_check_passes_needs_no_word_of_its_shifted_plants() -> None:
     def stage(objective: float, copies: tuple[int, float], passed: bool) -> Stage:
         best = SimpleNamespace(rank=(*copies, -objective), objective=objective)

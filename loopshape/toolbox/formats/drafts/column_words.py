@@ -9,7 +9,7 @@ from loopshape.core.units import UNITS
 
 
 class Role(StrEnum):
-    """The part of a signal in a loop, as drawn in `loopshape.data.control.loop`; each is also its word."""
+    """The part of a signal in a loop, as drawn in `loopshape.loop.loop`; each is also its word."""
 
     TIME = "time"
     REFERENCE = "reference"

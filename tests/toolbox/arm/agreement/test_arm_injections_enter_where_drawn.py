@@ -1,4 +1,4 @@
-"""What is injected into the arm's loops enters where `data.control.loop` draws it, with its sign and its unit."""
+"""What is injected into the arm's loops enters where `loop.loop` draws it, with its sign and its unit."""
 
 import numpy as np
 import pytest

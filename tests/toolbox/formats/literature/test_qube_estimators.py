@@ -82,5 +82,5 @@ def test_the_qubes_feedback_is_found(shared):
         run = import_file(file, ROOT / "examples" / "qube" / "map.toml")
         for loop in run.loops:
             feedback = loop_feedback(run.recordings[0], loop)
-            assert feedback.found
+            assert feedback.detected
             assert feedback.probability < 1e-100

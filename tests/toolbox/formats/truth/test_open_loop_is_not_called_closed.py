@@ -84,7 +84,7 @@ def test_at_most_3_of_300_records_in_open_loop_grow_or_are_called_closed():
             grows = any(tone.growth is Growth.GROWS for found in ls.planning.tones(run) for tone in found.tones)
             roles = find_roles(("u", "y"), columns)
             drafted = bool(roles.recording.get("closed_loop", True)) or bool(roles.open)
-            said = loop_feedback(run.recordings[0], run.loops[0], false_alarms=1e-4).found
+            said = loop_feedback(run.recordings[0], run.loops[0], false_alarms=1e-4).detected
             wrong += [(kind, seed, word) for word, so in (("grows", grows), ("draft", drafted), ("frf", said)) if so]
     assert len(wrong) <= 3, wrong
 
@@ -119,7 +119,7 @@ def test_a_loop_that_was_closed_is_still_found(kind, place):
         z, y = run_loop(place, n, lfilter([1.0], [1.0, -0.9], 0.3 * rng.standard_normal(n.size)))
         u = z + (n if place == "plant_input" else 0.0)
         run = ls.Run.from_arrays(u=u, y=y, rate_hz=100.0)
-        by_frf = loop_feedback(run.recordings[0], run.loops[0], false_alarms=1e-4).found
+        by_frf = loop_feedback(run.recordings[0], run.loops[0], false_alarms=1e-4).detected
         found.append((by_frf, bool(find_roles(("u", "y"), np.stack([u, y], axis=1)).open)))
     assert np.mean(found, axis=0).min() >= 0.9
 

@@ -49,7 +49,7 @@ def test_after_any_garbage_the_next_frame_is_whole(garbage, frame):
     receiver = Receiver()
     list(receiver.take(garbage + b"\0"))
     assert list(receiver.take(frame.encoded)) == [frame]
-    assert len(receiver._held) == 0
+    assert len(receiver._pending) == 0
 
 
 @given(frames, st.data())
@@ -66,7 +66,7 @@ def test_what_is_too_long_is_dropped_and_does_not_grow():
     receiver = Receiver()
     for _ in range(100):
         assert list(receiver.take(b"\x07" * 997)) == []
-        assert len(receiver._held) <= LONGEST_ENCODED
+        assert len(receiver._pending) <= LONGEST_ENCODED
     assert list(receiver.take(b"\0" + Frame(1, 2, b"x").encoded)) == [Frame(1, 2, b"x")]
     assert receiver.bad == 1
 

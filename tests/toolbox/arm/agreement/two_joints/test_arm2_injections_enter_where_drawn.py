@@ -1,4 +1,4 @@
-"""What is injected into the 2-DoF arm's loops enters where `data.control.loop` draws it, with sign and unit."""
+"""What is injected into the 2-DoF arm's loops enters where `loop.loop` draws it, with sign and unit."""
 
 import numpy as np
 import pytest

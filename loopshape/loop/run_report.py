@@ -12,7 +12,6 @@ from loopshape.core.outcomes import Outcome
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.loop import Loop
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit
@@ -20,6 +19,7 @@ from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.data.signal.run import Run
+from loopshape.loop.loop import Loop
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -31,9 +31,14 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.algebra import ClosedLoop, controller_frf, product
 from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.model import TransferFunction
+from loopshape.data.response.model import Fit, TransferFunction
 from loopshape.data.response.smoothed import Scatter
+
+if TYPE_CHECKING:
+    from loopshape.data.result.margins import Margins
+    from loopshape.data.result.prediction import Step
 
 #: lines above the band known to this share of their size, at the end of their circle, tell what |L| is there
 KNOWN_ABOVE = 0.2
@@ -220,6 +225,31 @@ class Loop:
     def control(self) -> FRF:
         """C S as an FRF with its covariance."""
         return self._closed.KS
+
+    def margins(self) -> Margins:
+        """Margins with 95 % intervals and stability, as `ls.check` reads them; 0 integrators are taken as not known."""
+        from loopshape.loop.verdict import check
+
+        declared = Requirements(integrators=self.integrators or None, unstable_poles=self.unstable_poles)
+        verdict = check([self.plant], self.controllers, together=declared, recorded_under=self.recorded_under)
+        return next(iter(verdict.margins.values()))
+
+    def step(self, fit: Fit | None = None) -> Step | None:
+        """Setpoint step of one loop, from a fit of the plant or from its lines alone; None where neither tells it."""
+        from loopshape.loop.predict.prediction import predict
+        from loopshape.loop.predict.step_response import predict_step
+
+        return predict([self.plant], [self.controller])[0].step if fit is None else predict_step(fit, self.controller)
+
+    def poles(self, fit: Fit) -> ComplexArray:
+        """Closed-loop poles in rad/s of a fit, taken as the sampled plant, and the controller as it runs.
+
+        Zeros of 1 + C(exp(s/rate)) P(s) within |s| < pi rate, by Newton's method; their number is that of the argument
+        principle. Raises WrongUseError where some are not found.
+        """
+        from loopshape.loop.predict.poles import closed_loop_poles
+
+        return closed_loop_poles(fit.model, self.controller)
 
     @cached_property
     def _closed(self) -> ClosedLoop:
