@@ -14,7 +14,7 @@ from loopshape.cli.output import Output
 from loopshape.cli.verify.check import check_run
 from loopshape.io import config_table
 from loopshape.io.run import tables
-from loopshape.loop import verdict
+from loopshape.loop import loops
 from loopshape.toolbox.rig.commands.measure import measure
 
 STUDY = """
@@ -76,7 +76,7 @@ def test_measure_reads_its_study_its_run_and_each_column_once(tmp_path, monkeypa
 @pytest.mark.long
 def test_check_builds_each_loop_once_for_verdict_and_pictures(axis, monkeypatch):
     files = counted(monkeypatch, config_table, "read_toml", lambda path: Path(path).name)
-    built = counted(monkeypatch, verdict, "smoothed", lambda frf, band: frf.recording)
+    built = counted(monkeypatch, loops, "smoothed", lambda frf, band: frf.recording)
     passed, drawn = check_run(axis, axis / "c.toml", axis / "r.toml", Output(quiet=True))
     assert passed
     assert len(drawn) > 4
@@ -86,6 +86,6 @@ def test_check_builds_each_loop_once_for_verdict_and_pictures(axis, monkeypatch)
 
 @pytest.mark.long
 def test_figures_build_each_loop_once(axis, monkeypatch):
-    built = counted(monkeypatch, verdict, "smoothed", lambda frf, band: frf.recording)
+    built = counted(monkeypatch, loops, "smoothed", lambda frf, band: frf.recording)
     figures(axis, controller=axis / "c.toml", quiet=True)
     assert built == {"one": 1, "two": 1}
