@@ -121,6 +121,7 @@ def test_a_row_and_a_function_of_the_loop(tmp_path):
     assert "cannot all be tuned for; received loop_peak_db" in found["tuned"]
 
 
+@pytest.mark.hour
 @pytest.mark.long  # its kernels are compiled anew
 @pytest.mark.timeout(900)
 def test_a_row_and_a_column_of_the_kernel(tmp_path):

@@ -79,6 +79,8 @@ def test_a_glance_ends_early_only_where_no_limit_holds_and_nothing_is_gained() -
     assert ended > 10
 
 
+@pytest.mark.long
+@pytest.mark.hour
 @pytest.mark.parametrize("goal", [LARGEST, Goal(soft=frozenset({"phase_margin_deg"}))])
 def test_the_linear_programme_holds_every_row_that_may_bind(goal: Goal) -> None:
     limits = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 35.0, "control_peak_db": 20.0}

@@ -97,6 +97,7 @@ def test_noise_differs_from_machine_to_machine(alone):
     assert (one != other).any()
 
 
+@pytest.mark.hour
 @pytest.mark.long
 @pytest.mark.short
 def test_two_processes_give_the_same_to_the_last_bit(campaign, alone):
@@ -179,6 +180,7 @@ def test_parts_that_are_not_whole_are_not_merged(campaign):
     assert len(list(out.glob("part-*"))) == 2
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_cluster_that_loses_a_worker_gives_the_same_to_the_last_bit(campaign, alone):
     pytest.importorskip("distributed", reason="the extra `cluster` is not installed")

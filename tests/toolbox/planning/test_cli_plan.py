@@ -51,6 +51,7 @@ def run(arm, tmp_path):
     return tmp_path / "run"
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_the_arm_reaches_the_wish_over_its_draws_of_phases(run, tmp_path):
     """Noise alone would need far less: friction's distortion is the arm's limit, and realisations average it."""

@@ -29,7 +29,7 @@ def blocks() -> dict[str, str]:
 # the demo of the arm is the whole of its block; the double pendulum takes 80 s of a free core
 @pytest.mark.parametrize(
     "name",
-    ["tour", "own", "rig", pytest.param("arm", marks=pytest.mark.hour), "several", "gap",
+    ["tour", "own", *(pytest.param(name, marks=pytest.mark.hour) for name in ("rig", "arm", "several", "gap")),
      pytest.param("machine", marks=pytest.mark.timeout(900))],
 )  # fmt: skip
 def test_block_runs(name: str, tmp_path: Path) -> None:

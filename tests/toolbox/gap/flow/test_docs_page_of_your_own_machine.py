@@ -62,6 +62,7 @@ def test_the_example_runs_and_names_the_friction(folder, capsys):
     assert "gap_fix.py)" in said
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_model_with_the_fix_taken_over_has_no_gap_any_more(folder):
     ls.write(own_machine.run_of(inertia=0.028), folder / "runs/winch")
@@ -190,6 +191,7 @@ def test_what_a_good_model_leaves_stands_beside_the_column_whatever_the_model_is
     assert found == [[0.004], [0.004], [None, 0.004]]
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_baseline_is_the_floor_of_the_command_and_the_answer_says_so(folder, capsys):
     ls.write(own_machine.run_of(2, cogging=0.02, inertia=0.028), folder / "runs/winch")

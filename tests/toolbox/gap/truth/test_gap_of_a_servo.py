@@ -126,8 +126,8 @@ def test_a_fix_of_a_servo_stands_in_its_model_as_by_hand():
 @pytest.mark.parametrize(
     ("changed", "effect", "size"),
     [
-        ({}, "none", None),
-        ({"dry": 0.2}, "coulomb_friction@shoulder", 0.15),
+        pytest.param({}, "none", None, marks=pytest.mark.hour),
+        pytest.param({"dry": 0.2}, "coulomb_friction@shoulder", 0.15, marks=pytest.mark.hour),
         ({"kp": 6.0}, "actuator_gain_error@servo", -0.25),
         pytest.param({"most": 1.0}, "actuator_saturation@servo", -2.0, marks=pytest.mark.hour),
     ],

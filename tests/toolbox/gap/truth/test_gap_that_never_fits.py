@@ -97,6 +97,7 @@ def test_friction_that_grows_with_the_load_is_named_in_this_form_with_its_share(
     assert report.fix.form == form or (form is None and "load" not in report.fix.form)
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_an_answer_has_a_budget_a_place_and_a_curve_where_no_name_fits():
     report = ls.gap(run_of(3, cogging=0.05), model=MODEL, table=False)
@@ -123,6 +124,7 @@ def common(first=0, **effect):
     return ls.Run(RATE_HZ, (), (*own, recorded(first + 9, cogging=0.02, role="validation", **effect)))
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_name_that_leads_after_the_held_out_recordings_alone_is_followed_there_too():
     # found in a machine that cogs: the name that came to lead had not been followed, which ended in an error
@@ -133,6 +135,7 @@ def test_a_name_that_leads_after_the_held_out_recordings_alone_is_followed_there
     assert best.gap == pytest.approx(report.gap.after)
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_healthy_machine_has_a_budget_too_and_shares_nothing():
     report = ls.gap(run_of(3), model=MODEL, table=False)
@@ -141,6 +144,7 @@ def test_a_healthy_machine_has_a_budget_too_and_shares_nothing():
     assert all(step.share is None for step in report.budget)
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_window_that_nobody_states_is_chosen_and_told():
     report = ls.gap(run_of(3, coulomb=0.05), model=replace(MODEL, window_s=None), table=False)
@@ -166,6 +170,7 @@ def test_what_matters_is_a_share():
         )
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_what_recordings_can_tell_is_known_before_an_effect_is_looked_for():
     seen = {x.effect: x for x in ls.gap.identifiability(run_of(2), model=MODEL)}
@@ -285,6 +290,7 @@ def test_what_a_good_machine_leaves_too_is_not_named_and_what_it_does_not_is(kno
     assert "times what a good model leaves" in found.sentence
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_without_what_is_known_of_good_machines_the_force_that_is_common_to_all_is_blamed():
     found = answers(0, "nothing")
@@ -292,6 +298,7 @@ def test_without_what_is_known_of_good_machines_the_force_that_is_common_to_all_
     assert [floor.source for floor in found.floors] == ["estimated"]
 
 
+@pytest.mark.hour
 @pytest.mark.long
 @pytest.mark.parametrize("known", ["baseline", "leaves"])
 def test_a_second_healthy_machine_has_no_gap_beside_the_first(known):

@@ -101,6 +101,7 @@ def test_levels_on_grids_of_their_own_are_judged_on_the_coarser(apart_hz):
     assert one.resonance.change == pytest.approx(expected, rel=0.25)
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_linear_machine_on_grids_of_its_own_shows_none():
     runs = [on_grids_of_their_own(LEVELS, seed=100 + k)[0] for k in range(8)]

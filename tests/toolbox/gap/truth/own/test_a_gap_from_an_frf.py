@@ -101,6 +101,7 @@ def test_a_healthy_machine_within_its_tolerances_has_no_gap():
     assert found.gap.before < 2.0
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_resonance_that_no_effect_makes_is_unknown():
     assert ls.gap(frf_of(absorber=0.008), model=MODEL).verdict == "unknown"

@@ -62,6 +62,7 @@ def recorded(k, role, **coupling):
     return ls.Recording(info, RATE_HZ, {"goal_rad": goal, "a_rad": read + 2e-5 * rng.standard_normal(goal.size)})
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_a_spring_behind_a_position_servo_is_named_with_its_size_and_its_mjcf_moves_as_the_machine(tmp_path):
     (tmp_path / "servo.xml").write_text(XML.format(twist=""))

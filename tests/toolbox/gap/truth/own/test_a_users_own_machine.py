@@ -102,6 +102,7 @@ def test_an_effect_that_is_in_no_list_is_unknown():
     assert (found.fix.of, found.fix.is_verdict) == (found.gap.of, False)
 
 
+@pytest.mark.hour
 @pytest.mark.long
 def test_drag_that_grows_faster_than_the_speed_is_a_viscous_error():
     found = diagnosed(drag=0.02)
