@@ -110,7 +110,7 @@ class LoopTable:
 
 def controller_table(controller: Controller) -> dict[str, Any]:
     """The keys of a controller beside the name of its loop and its rate, blocks last; defaults are left out."""
-    own = {"discretisation": controller.discretisation, **table_of(controller)}
+    own = table_of(controller)
     blocks = own.pop("controller")
     return {key: own[key] for key in CONTROLLER_KEYS if key in own} | {"controller": blocks}
 
