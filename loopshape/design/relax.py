@@ -20,7 +20,7 @@ from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.problem import Problem, bounds_reached
-from loopshape.design.problem.rows import Tighten, in_rows, required, spare_of
+from loopshape.design.problem.rows import Tighten, in_rows, required, slack_of
 from loopshape.design.search import Goal, SearchResult, initial_point, search
 from loopshape.design.tighten import TightenedSolution, Verifier, least_rooms, tighten_limits
 
@@ -169,7 +169,7 @@ def _pulls(p: Problem, m: Measures, rows: np.ndarray, shares: Array, tighten: Ti
         unit, slack = "1", float(m.room[k])
         if what in LIMIT_OF and what != "controller_bandwidth_hz":
             unit, limit = LIMIT_OF[what].unit, required(p, what, tighten)[point]
-            slack = float(spare_of(what, limit, slack))
+            slack = float(slack_of(what, limit, slack))
         found[(what, point)] = ConstraintMultiplier(what, unit, recording, at_hz, slack, share)
     return sorted(found.values(), key=lambda pull: -pull.share)
 
@@ -215,7 +215,7 @@ def _needed(p: Problem, name: str, least: SearchResult, tighten: Tighten) -> flo
     if name == "controller_bandwidth_hz":
         return max(controller_bandwidth_hz(p.controller(least.x)) - now, 0.0) + 1e-3 * now
     room = least_rooms(p, least.measures)[name]
-    missed = -float(np.min(spare_of(name, required(p, name, tighten), room)))
+    missed = -float(np.min(slack_of(name, required(p, name, tighten), room)))
     return max(missed, 0.0) * 1.001 + 1e-5 * max(abs(now), 1e-3)
 
 

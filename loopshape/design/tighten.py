@@ -15,7 +15,7 @@ from loopshape.data.requirement.requirements import LIMIT_OF
 from loopshape.data.result.verdict import Verdict
 from loopshape.design.problem.measures import Measures, measure
 from loopshape.design.problem.problem import Problem
-from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, required, spare_of
+from loopshape.design.problem.rows import DIP, SURE, Tighten, in_rows, required, slack_of
 from loopshape.design.search import Goal, SearchResult, initial_point, search
 
 
@@ -189,7 +189,7 @@ def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None
     To the bad end of the interval; zero where the tuner was too careful, where either sees no crossing, and where the
     verdict, of some `points`, says nothing.
     """
-    read = spares(p, measure(p, x, {}))
+    read = slacks(p, measure(p, x, {}))
     out = {}
     for name, mine in read.items():
         sign = LIMIT_OF[name].sign
@@ -202,13 +202,13 @@ def allowances(p: Problem, x: Array, verdict: Verdict, points: np.ndarray | None
     return out
 
 
-def spares(p: Problem, m: Measures) -> dict[str, Array]:
+def slacks(p: Problem, m: Measures) -> dict[str, Array]:
     """Least slack of each quantity at each operating point (points,), in its unit; +inf where no row speaks of it.
 
     `m` is measured without tightening.
     """
     with np.errstate(over="ignore"):
-        return {name: spare_of(name, required(p, name, {}), room) for name, room in least_rooms(p, m).items()}
+        return {name: slack_of(name, required(p, name, {}), room) for name, room in least_rooms(p, m).items()}
 
 
 def least_rooms(p: Problem, m: Measures) -> dict[str, Array]:

@@ -244,8 +244,8 @@ class Loop:
     def poles(self, fit: Fit) -> ComplexArray:
         """Closed-loop poles in rad/s of a fit, taken as the sampled plant, and the controller as it runs.
 
-        Zeros of 1 + C(exp(s/rate)) P(s) within |s| < pi rate, by Newton's method; their number is that of the argument
-        principle. Raises WrongUseError where some are not found.
+        Zeros of 1 + C(exp(s/rate)) P(s) slower than pi rate, and than 40/delay, by Newton's method; their number is
+        that of the argument principle. Raises WrongUseError where some are not found.
         """
         from loopshape.loop.predict.poles import closed_loop_poles
 

@@ -96,8 +96,8 @@ def scaled(name: str, value: Array) -> Array:
     return rad(value) if unit == "deg" else np.log(from_db(value)) if unit == "dB" else np.log(np.maximum(value, LEAST))
 
 
-def spare_of(name: str, limit: float | Array, room: float | Array) -> Array:
-    """Spare in a quantity's own unit from a row's room against `limit`; negative where it is missed."""
+def slack_of(name: str, limit: float | Array, room: float | Array) -> Array:
+    """Slack in a quantity's own unit from a row's room against `limit`; negative where it is missed."""
     unit = LIMIT_OF[name].unit
     if unit == "deg":
         return deg(room)

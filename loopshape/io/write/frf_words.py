@@ -47,6 +47,12 @@ def is_format(found: object, now: str) -> bool:
     return found in (now, now.removesuffix("2") + "1")
 
 
+def arrays_in(file: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """The arrays of an FRF in a file whose names begin so, under the names of now."""
+    names = (*ARRAYS, *PERHAPS, *RENAMED)
+    return upgraded({name: file[key] for name in names if (key := f"{before}{name}") in file})
+
+
 def upgraded(named: Mapping[str, Any]) -> dict[str, Any]:
     """Arrays or words of an FRF's file under the names of now."""
     return {RENAMED.get(name, name): value for name, value in named.items()}

@@ -19,16 +19,7 @@ from loopshape.io.input_guard import own
 from loopshape.io.run.run_folder import excited_names, has_run, marks_as_read, read_run
 from loopshape.io.size_limit import check_zip
 from loopshape.io.write.frf_csv import frf_csv as frf_csv  # tables for people stand beside the FRFs
-from loopshape.io.write.frf_words import (
-    ARRAYS,
-    PERHAPS,
-    RENAMED,
-    frf_arrays,
-    frf_header,
-    frf_words,
-    is_format,
-    upgraded,
-)
+from loopshape.io.write.frf_words import arrays_in, frf_arrays, frf_header, frf_words, is_format
 
 FORMAT = "loopshape-frf/2"
 FOLDER, MATRICES = "frf", "matrix"
@@ -152,7 +143,7 @@ def _read(path: Path) -> tuple[FRF, str]:
         check_zip(path)
         header = json.loads(str(file["header"]))
         found = header["format"]
-        arrays = upgraded({name: file[name] for name in (*ARRAYS, *PERHAPS, *RENAMED) if name in file.files})
+        arrays = arrays_in(file)
     if not is_format(found, FORMAT):
         raise UnreadableInputError(f"{path} is not of the format {FORMAT}", repr(found), "estimate it again")
     with reading(path, "FRF", WrongUseError):

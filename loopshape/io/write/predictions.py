@@ -16,16 +16,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import Prediction, Step
 from loopshape.io.files import make_folder, reading, write_whole
 from loopshape.io.schema import read
-from loopshape.io.write.frf_words import (
-    ARRAYS,
-    PERHAPS,
-    RENAMED,
-    frf_arrays,
-    frf_header,
-    frf_words,
-    is_format,
-    upgraded,
-)
+from loopshape.io.write.frf_words import arrays_in, frf_arrays, frf_header, frf_words, is_format
 
 FORMAT = "loopshape-predictions/2"
 _STEP = ("time_s", "response", "low", "high")
@@ -79,7 +70,7 @@ def read_predictions(path: Path) -> tuple[Prediction, ...]:
 
 
 def _read(words: Mapping[str, Any], arrays: Mapping[str, Any], k: int, where: str) -> Prediction:
-    own = upgraded({name: arrays[key] for name in (*ARRAYS, *PERHAPS, *RENAMED) if (key := f"{k}.{name}") in arrays})
+    own = arrays_in(arrays, f"{k}.")
     sensitivity = FRF(**own, **frf_words(words["sensitivity"], where))
     _refuse_sizes(sensitivity)
     step = None

@@ -11,24 +11,28 @@ from loopshape.core.units import TWO_PI, ComplexArray
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.model import TransferFunction
 
-#: starts of Newton's method: so many sizes, from 1e-9 of the rate on, by so many angles
-SIZES, ANGLES = 400, 61
+#: starts of Newton's method: so many sizes, from 1e-9 of the rate on, by so many angles; the smallest are tried
+SIZES, ANGLES, TRIED = 400, 61, 2000
 #: points of the circle on which the poles within are counted, half of them
 AROUND = 20_000
 NEWTONS, CONVERGED = 60, 1e-11
+#: poles are looked for up to so many rad over the delay: beyond, a delay's chain of them goes on for ever
+OF_THE_DELAY = 40.0
+Function = Callable[[ComplexArray], tuple[ComplexArray, ComplexArray]]
 
 
 def closed_loop_poles(model: TransferFunction, controller: Controller) -> ComplexArray:
     """Zeros of den(s) a(z) + num(s) b(z) exp(-s delay), z = exp(s/rate), with |s| < pi rate; slowest first, rad/s.
 
-    A controller's zero that cancels a pole of the plant is among them, as it is among the modes of the loop. The delay
-    makes their number infinite; those left out are faster than the rate. Refuses where Newton's method does not find as
-    many as the argument principle counts.
+    A controller's zero that cancels a pole of the plant is among them, as it is among the modes of the loop. With a
+    delay their number is infinite: those beyond 40/delay are left out, too. Refuses where Newton's method does not find
+    as many as the argument principle counts.
     """
     F = _characteristic(model, controller)
-    largest = 0.5 * TWO_PI * controller.rate_hz * 0.999
-    circle = largest * np.exp(0.5j * TWO_PI * np.linspace(0.0, 1.0, AROUND))
-    count = round(2.0 * float(np.unwrap(np.angle(F(circle)[0]))[-1] - np.angle(F(circle)[0][0])) / TWO_PI)
+    delay_s = model.delay_s + controller.computation_delay_s
+    largest = 0.999 * min(0.5 * TWO_PI * controller.rate_hz, OF_THE_DELAY / max(delay_s, 1e-300))
+    around = np.unwrap(np.angle(F(largest * np.exp(0.5j * TWO_PI * np.linspace(0.0, 1.0, AROUND)))[0]))
+    count = round(2.0 * float(around[-1] - around[0]) / TWO_PI)
     found: list[complex] = []
     for start in _starts(F, largest):
         if len(found) >= count:
@@ -38,21 +42,20 @@ def closed_loop_poles(model: TransferFunction, controller: Controller) -> Comple
             found += [root] if root.imag == 0.0 else [root, root.conjugate()]
     if len(found) != count:
         raise WrongUseError(
-            f"not all poles of the closed loop were found, {controller.loop or 'a loop'}",
+            f"not all poles of the closed loop {controller.loop!r} were found",
             f"{len(found)} of {count} slower than the rate", "see the stability of `ls.check`, which needs none",
         )  # fmt: skip
     return np.array(sorted(found, key=lambda s: (abs(s), s.imag)))
 
 
-def _characteristic(
-    model: TransferFunction, controller: Controller
-) -> Callable[[ComplexArray], tuple[ComplexArray, ComplexArray]]:
+def _characteristic(model: TransferFunction, controller: Controller) -> Function:
     """The function whose zeros are the poles, and the sum of its parts' sizes, for s (n,)."""
     rows = controller.biquads()
+    above, below = rows[:, :3], np.column_stack([np.ones(len(rows)), rows[:, 3:]])  # in 1/z
 
     def F(s: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         back = np.exp(-s / controller.rate_hz)
-        b, a = (np.prod([np.polyval(row[::-1], back) for row in part], axis=0) for part in _parts(rows))
+        b, a = (np.prod([np.polyval(row[::-1], back) for row in part], axis=0) for part in (above, below))
         late = np.exp(-s * (model.delay_s + controller.computation_delay_s))
         if controller.added_hold:
             late = late * -np.expm1(-s / controller.rate_hz) / (s / controller.rate_hz)
@@ -62,22 +65,15 @@ def _characteristic(
     return F
 
 
-def _parts(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Polynomials (n, 3) in 1/z above and below."""
-    return rows[:, :3], np.column_stack([np.ones(len(rows)), rows[:, 3:]])
-
-
-def _starts(F: Callable[[ComplexArray], tuple[ComplexArray, ComplexArray]], largest: float) -> ComplexArray:
+def _starts(F: Function, largest: float) -> ComplexArray:
     """Places of the upper half plane where the function is small beside its parts, smallest first."""
     sizes, angles = np.geomspace(1e-9, 1.0, SIZES) * largest, np.linspace(0.0, np.pi, ANGLES)
     grid = sizes[:, None] * np.exp(1j * angles)
     value, scale = F(grid.ravel())
-    return grid.ravel()[np.argsort(np.abs(value) / np.maximum(scale, 1e-300))]
+    return grid.ravel()[np.argsort(np.abs(value) / np.maximum(scale, 1e-300))][:TRIED]
 
 
-def _newton(
-    F: Callable[[ComplexArray], tuple[ComplexArray, ComplexArray]], s: complex, known: list[complex]
-) -> complex | None:
+def _newton(F: Function, s: complex, known: list[complex]) -> complex | None:
     """The zero that Newton's method comes to, none of those known (deflated); real where it is nearly so."""
     for _ in range(NEWTONS):
         h = 1e-6 * max(abs(s), 1e-12)

@@ -84,3 +84,17 @@ def test_a_controller_that_another_rule_made_discrete_runs_as_it_is(method):
     made = control.sample_system(lead, 1.0 / 200.0, method=method)
     C = ls.controller(*ls.fixed(made), rate_hz=200.0)
     assert C.response(F) == pytest.approx(made(np.exp(2j * np.pi * F / 200.0)), rel=1e-9)
+
+
+@pytest.mark.parametrize("rate", [1e3, 1e4])
+def test_the_slow_poles_of_a_delay_of_a_thousand_samples_are_found_too(rate):
+    # exp(pi rate delay) is no number: those up to 40/delay are looked for, and there Lambert's W has them all
+    delay, gain = 0.2, 3.0
+    P = ls.FRF.from_arrays(F, 1.0 / (2j * np.pi * F), relative_std=1e-6, rate_hz=rate, loop="x")
+    one = ls.fit(P, "integrator")
+    fit = replace(one, model=replace(one.model, num=np.array([1.0]), den=np.array([1.0, 0.0]), delay_s=delay))
+    truth = np.array([lambertw(-gain * delay, n) / delay for n in range(-20, 20)])
+    truth = truth[np.abs(truth) < 0.999 * 40.0 / delay]
+    found = loop_of(P, gain, rate).poles(fit)
+    assert found.size == truth.size > 5
+    assert np.abs(found[:, None] - truth[None, :]).min(axis=1).max() < 1e-6
