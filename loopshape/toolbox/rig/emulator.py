@@ -8,7 +8,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources import files
@@ -26,6 +26,13 @@ SOURCES = (
     "schedule.c", "blocks.c", "stream.c",
 )  # fmt: skip
 BOARD_SOURCES = ("boards/line.h", "boards/line.c")
+FIRMWARE_SOURCES = (
+    *SOURCES,
+    *(
+        f"boards/cortex_m/{name}"
+        for name in ("Makefile", "stm32f4.ld", "chip.h", "start.c", "stm32f4.c", "axis.c", "drive.c")
+    ),
+)
 STOP_S = 10.0
 
 
@@ -93,9 +100,14 @@ class Emulator:
 
 def sources(one: Board) -> dict[str, bytes]:
     """The C sources of the target and of a board, by the names that they are compiled by."""
-    target, machine = files("loopshape.toolbox.rig") / "c_target", files(one.package)
-    made = {name: (target / name).read_bytes() for name in (*SOURCES, *BOARD_SOURCES)}
+    machine = files(one.package)
+    made = own_sources((*SOURCES, *BOARD_SOURCES))
     return made | {f"boards/{Path(name).name}": (machine / name).read_bytes() for name in one.sources}
+
+
+def own_sources(names: Iterable[str]) -> dict[str, bytes]:
+    """Files of the target's folder."""
+    return {name: (files("loopshape.toolbox.rig") / "c_target" / name).read_bytes() for name in names}
 
 
 def compiler() -> list[str]:
@@ -120,39 +132,51 @@ def program(number_bytes: int = 8, plant: str | None = None) -> Path:
         "-DTARGET_TICKS=16384",
         "-DTARGET_POOL=65536",
     ]
-    code = sources(board(plant))
-    key = hashlib.sha256("\0".join([*command, _version(command[0])]).encode())
+    return kept(
+        "emulator",
+        [*command, version(command[0])],
+        sources(board(plant)),
+        lambda folder: _compile(command, folder),
+    )
+
+
+def kept(stem: str, words: Iterable[str], code: Mapping[str, bytes], build: Callable[[Path], Path]) -> Path:
+    """The program that `build` makes of sources in a folder; built where these words and sources have not been yet."""
+    key = hashlib.sha256("\0".join(words).encode())
     for text in code.values():
         key.update(text)
-    path = cache_folder() / f"emulator-{key.hexdigest()[:16]}"
-    if not path.exists():
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _compile(command, code, path)
-        except OSError as error:
-            raise WrongUseError(
-                "the emulator cannot be kept where it is compiled to", f"{path.parent}: {error}", "set XDG_CACHE_HOME"
-            ) from None
+    path = cache_folder() / f"{stem}-{key.hexdigest()[:16]}"
+    if path.exists():
+        return path
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+            for name, text in code.items():
+                place = Path(folder) / name
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(text)
+            os.replace(build(Path(folder)), path)  # whole or not at all
+    except OSError as error:
+        raise WrongUseError(
+            "the emulator cannot be kept where it is compiled to", f"{path.parent}: {error}", "set XDG_CACHE_HOME"
+        ) from None
     return path
 
 
-def _version(command: str) -> str:
+def version(command: str) -> str:
+    """What a compiler says of itself."""
     output = subprocess.run([command, "--version"], capture_output=True, text=True, check=False)
     return output.stdout
 
 
-def _compile(command: list[str], code: dict[str, bytes], path: Path) -> None:
-    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
-        (Path(folder) / "boards").mkdir()
-        for name, text in code.items():
-            (Path(folder) / name).write_bytes(text)
-        units = [name for name in code if name.endswith(".c")]
-        output = subprocess.run(
-            [*command, "-I.", *units, "-o", "made", "-lm"], cwd=folder, capture_output=True, text=True, check=False
-        )
-        if output.returncode:
-            raise NoCompilerError("the emulator does not compile", output.stderr[-800:].strip(), "report it, please")
-        os.replace(Path(folder) / "made", path)  # whole or not at all
+def _compile(command: list[str], folder: Path) -> Path:
+    units = [str(path) for path in sorted(folder.rglob("*.c"))]
+    output = subprocess.run(
+        [*command, "-I.", *units, "-o", "made", "-lm"], cwd=folder, capture_output=True, text=True, check=False
+    )
+    if output.returncode:
+        raise NoCompilerError("the emulator does not compile", output.stderr[-800:].strip(), "report it, please")
+    return folder / "made"
 
 
 def start(emulator: Emulator) -> tuple[subprocess.Popen[str], str]:

@@ -2,7 +2,7 @@
  * What a board has to write so that the target runs on it. How to port:
  *
  * 1. Write the functions below for the board: read the sensors in their units, give pulses to the valves, make the machine
- *    safe, send bytes. the arm's board (toolbox/arm/board/arm_emulator.c) is a whole example; scripted.c, a board of the tests, has the functions and
+ *    safe, send bytes. boards/cortex_m is a whole one, for an STM32F4 (docs/board.md); scripted.c, a board of the tests, has the functions and
  *    nothing around them. "Vent" is the board's safe state: for a motor, the drive disabled or braked. Compile with
  *    blocks.c, configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c is the emulator's.
  * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 8 kB (two loops,

@@ -166,15 +166,27 @@ def connect(port: str, *, baud: int = BAUD) -> Target:
 
 @contextmanager
 def emulator(
-    changes: Mapping[str, float] | None = None, at: Mapping[str, float] | None = None, *, rate_hz: float = 1000.0
+    changes: Mapping[str, float] | None = None,
+    at: Mapping[str, float] | None = None,
+    *,
+    rate_hz: float | None = None,
+    board: str | None = None,
 ) -> Iterator[str]:
-    """A simulated arm behind the target's protocol, for trying out a measurement; gives the port, ends with the block.
+    """A target without a machine, for trying out a measurement; gives the port, ends with the block.
 
-    `changes` are parameters of the arm, `at` is where it stands, by the names of its point. Needs a C compiler, once.
+    A simulated arm at 1000 Hz behind the protocol: `changes` are parameters of the arm, `at` is where it stands, by the
+    names of its point; needs a C compiler, once. `board="cortex_m"`: the firmware for a Cortex-M4F with a motor axis in
+    it, at 2000 Hz, under qemu-system-arm. Raises WrongUseError for another board or a rate that it does not run at.
     """
-    from loopshape.toolbox.rig.emulator import Emulator, board, emulated
+    from loopshape.toolbox.rig import cortex_m
+    from loopshape.toolbox.rig.emulator import Emulator, running
+    from loopshape.toolbox.rig.emulator import board as board_of
 
-    with emulated(Emulator(board().plant_file(changes, at, rate_hz), tcp=0)) as port:
+    if board is not None:
+        started = cortex_m.chosen(board, 0, rate_hz, {"changes": changes, "at": at})
+    else:
+        started = running(Emulator(board_of().plant_file(changes, at, rate_hz or 1000.0), tcp=0))
+    with started as (_, port):
         yield port
 
 

@@ -3,11 +3,14 @@
 import subprocess
 from pathlib import Path
 
+import cortex_m_cases
 import numpy as np
 import pytest
 from target_cases import CORE, SANITIZERS, TARGET, WARNINGS, compiler
 
 from loopshape.toolbox.rig.target.frames import Frame, Receiver, opened
+
+SIZES = ["-DTARGET_ROWS=64", "-DTARGET_TICKS=64", "-DTARGET_LOOPS=2", "-I", str(TARGET)]
 
 
 @pytest.fixture(scope="module")
@@ -15,16 +18,7 @@ def fuzzed(tmp_path_factory):
     """The fuzzing program, with sanitizers where the compiler has them."""
     out = tmp_path_factory.mktemp("fuzzed") / "fuzzed_target"
     units = [str(Path(__file__).with_name("fuzzed_target.c")), *(str(TARGET / name) for name in CORE)]
-    command = [
-        *compiler(),
-        *WARNINGS,
-        "-O1",
-        "-DTARGET_ROWS=64",
-        "-DTARGET_TICKS=64",
-        "-DTARGET_LOOPS=2",
-        "-I",
-        str(TARGET),
-    ]
+    command = [*compiler(), *WARNINGS, "-O1", *SIZES]
     made = subprocess.run([*command, *SANITIZERS, *units, "-o", str(out), "-lm"], capture_output=True, check=False)
     if made.returncode:
         subprocess.run([*command, *units, "-o", str(out), "-lm"], check=True)
@@ -52,6 +46,14 @@ def test_no_execution_moves_an_unarmed_machine_or_swallows_a_vent(fuzzed):
 @pytest.mark.parametrize("part", range(7))
 def test_a_million_and_a_half_executions(fuzzed, part):
     assert executed(fuzzed, 10**6 * (part + 1), 200_000)[0] == 200_000
+
+
+@pytest.mark.long
+def test_the_cortex_m_does_in_each_execution_what_this_machine_does(fuzzed, tmp_path):
+    """Frames, arms and vents are drawn by what the target answers: a bit of another state or number shows in them."""
+    units = [Path(__file__).with_name("fuzzed_target.c"), *(TARGET / name for name in CORE)]
+    said = cortex_m_cases.executed(tmp_path, units, SIZES, ["1", "5000"])
+    assert [int(word) for word in said.split()] == executed(fuzzed, 1, 5000)
 
 
 def taken_of(data):

@@ -1,0 +1,72 @@
+"""Instructions of a tick on the Cortex-M4F, counted by the emulator: the page's table says them, and what fits."""
+
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cortex_m_cases import BY_INSTRUCTIONS_ALONE, armed, board, configuration, session
+
+from loopshape.toolbox.rig.cortex_m import NS_OF_AN_INSTRUCTION
+from loopshape.toolbox.rig.target.blocks import Block
+from loopshape.toolbox.rig.target.messages import Reason, State
+from loopshape.toolbox.rig.target.scheduling import Scheduling
+
+PAGE = (Path(__file__).parents[4] / "docs" / "board.md").read_text()
+ROWS = dict(re.findall(r"^\| (\d+ .*?) \| ([\d ]+) \| [\d.]+ ms \|", PAGE, re.M))
+HCLK_HZ = 168e6
+SECTION = np.array([[0.5, 0.2, 0.1, -0.4, 0.1]])
+NODE = np.array([1.0, 0.1, 0.1, 1.0, -0.4, 0.1])
+
+
+def sections(count):
+    return np.repeat(SECTION, count, 0)
+
+
+def schedule(loop, variables):
+    """32 sections over so many variables of two knots each, which the noisy angle moves every tick."""
+    at = tuple((2 + loop, 1.0 + k, (-0.5, 0.5)) for k in range(variables))
+    return Scheduling(0.5, 32, at, np.tile(NODE, (2**variables * 32, 1)))
+
+
+def diagram():
+    """Blocks that fill the room for them."""
+    return tuple(Block(tuple((j % 4, 0.1) for j in range(12)), sections(16)) for _ in range(16))
+
+
+CASES = {
+    "1 loop of 8": [sections(8)],
+    "2 loops of 8": [sections(8)] * 2,
+    "2 loops of 32": [sections(32)] * 2,
+    "16 blocks": [sections(32)] * 2,
+    "2 schedules": [schedule(0, 3), schedule(1, 1)],
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("case", CASES)
+def test_a_tick_takes_what_the_page_says(case):
+    (said,) = (int(count.replace(" ", "")) for row, count in ROWS.items() if row.startswith(case))
+    made = diagram() if case == "16 blocks" else ()
+    with board(*BY_INSTRUCTIONS_ALONE, rate_hz=1000.0) as (port, monitor), session(port) as one:
+        armed(one, configuration(*CASES[case], watchdog_ms=60_000, blocks=made))
+        begun = monitor.watched().ticks
+        while (found := monitor.watched()).ticks < begun + 200:
+            time.sleep(0.01)
+        status = one.status()
+    instructions = found.longest * 1e9 / (HCLK_HZ * NS_OF_AN_INSTRUCTION)
+    print(f"{case}: {instructions:.0f} instructions, a tick begins up to {found.latest / 168:.0f} us late")
+    assert instructions == pytest.approx(said, rel=0.05)
+    if found.longest < HCLK_HZ / 1000.0:
+        assert status.state is State.ARMED
+        assert found.latest < 168 * 150
+    else:
+        assert (status.state, status.fault) == (State.FAULT, Reason.MACHINE)
+
+
+def test_the_worst_case_of_sections_fits_where_the_page_says():
+    """The table's own arithmetic."""
+    for row, fits in re.findall(r"^\| (\d+ .*?) \| [\d ]+ \| [\d.]+ ms \| ([\d.]+) kHz", PAGE, re.M):
+        ns = int(ROWS[row].replace(" ", "")) * NS_OF_AN_INSTRUCTION
+        assert float(fits) * 1e3 <= 1.02e9 / ns, row
