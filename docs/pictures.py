@@ -7,6 +7,7 @@ import json
 import os
 import re
 import runpy
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,6 +16,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.signal import lfilter
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "experiments" / "lab"))
+
+from text_layout import look_at_each_png
 
 import loopshape as ls
 from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, GapReport
@@ -145,8 +150,11 @@ def _feedforward() -> Figure:
         1350.0 / (s * (s**2 + 0.13 * w * s + w**2)) * np.exp(-0.005 * s),
         relative_std=0.01,
         rate_hz=1000.0,
+        loop="axis",
+        inputs=("u_v",),
+        outputs=("y_rad",),
     )
-    C = ls.controller(ls.gain(0.5), rate_hz=1000.0)
+    C = ls.controller(ls.gain(0.5), rate_hz=1000.0, loop="axis")
     F = ls.learning.feedforward(P, band_hz=(0.1, 8.0))
     r = setpoint_of(0.35, 0.6, 2.0, 12.0, rate_hz=1000.0, rest_s=4.0)
     return feedforward_page(
@@ -155,6 +163,7 @@ def _feedforward() -> Figure:
             "without": ls.learning.tracking_error(P, C, r),
             "with feedforward": ls.learning.tracking_error(P, C, r, F),
         },
+        P,
     )
 
 
@@ -227,8 +236,14 @@ def _diagrams() -> dict[str, Figure]:
     }
 
 
+def refuse(found: list[str]) -> None:
+    """A picture that cannot be read is not written."""
+    raise ValueError("; ".join(found))
+
+
 if __name__ == "__main__":
     matplotlib.use("Agg")
+    look_at_each_png(refuse, note=True)
     draw_in_browser()
     pictures, demo, swing = drawn(), diagnosed(), diagnosed_swing()
     noted = shown() | {name: shown_in(figure) for name, figure in pictures.items()}
@@ -236,7 +251,7 @@ if __name__ == "__main__":
     for name in ("readme", "diagrams", "demo"):
         (FIGURES / name).mkdir(parents=True, exist_ok=True)
     for name, figure in (pictures | {"readme/swing": swing_figure(swing)}).items():
-        figure.savefig(FIGURES / f"{name}.png", dpi=130 if name.startswith("diagrams") else 150)
+        (FIGURES / f"{name}.png").write_bytes(png(figure))
     (FIGURES / "demo" / "gap.png").write_bytes(png(gap_figure(demo)))
     text = re.sub(
         r"\[[^][{}]*\]", lambda m: json.dumps(json.loads(m[0])), json.dumps(noted, indent=1)

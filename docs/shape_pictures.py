@@ -1,15 +1,18 @@
-"""Draws figures/shape/*.png, the pictures of the page of `shape`, in the system's Chromium: three widths, light and dark."""
+"""Draws figures/shape/*.png, the pictures of the page of `shape`, in the system's Chromium: light and dark."""
 
-import shutil
 import sys
 import tempfile
 from pathlib import Path
 
-import loopshape as ls
-
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "experiments" / "lab"))
+
+from screenshots import WIDTH_PX, chromium, shoot, watched  # noqa: E402
+
+import loopshape as ls  # noqa: E402
+
 BENCH = ROOT / "examples" / "motor_bench"
-SIZES = {1440: 940, 1024: 900, 390: 844}
+HEIGHT_PX = 980
 
 
 def walk() -> tuple[ls.FRF, ls.Controller, ls.Requirements]:
@@ -26,24 +29,17 @@ def walk() -> tuple[ls.FRF, ls.Controller, ls.Requirements]:
 
 
 def draw(file: Path, name: str, out: Path) -> None:
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"))
-        for width, height in SIZES.items():
-            for scheme in ("light", "dark"):
-                context = browser.new_context(
-                    viewport={"width": width, "height": height}, color_scheme=scheme
-                )
-                one = context.new_page()
-                one.goto(file.as_uri())
-                one.wait_for_selector("#verdict-badge .badge:not(.none)")
-                box = one.locator("#magnitude").bounding_box()
-                one.mouse.move(box["x"] + 0.55 * box["width"], box["y"] + 30)
-                one.wait_for_timeout(100)
-                one.screenshot(path=out / f"{name}-{width}-{scheme}.png")
-                context.close()
-        browser.close()
+    with chromium() as browser:
+        for scheme in ("light", "dark"):
+            size = {"width": WIDTH_PX, "height": HEIGHT_PX}
+            one = watched(browser.new_page(viewport=size, color_scheme=scheme))
+            one.goto(file.as_uri())
+            one.wait_for_selector("#verdict-badge .badge:not(.none)")
+            box = one.locator("#magnitude").bounding_box()
+            one.mouse.move(box["x"] + 0.55 * box["width"], box["y"] + 30)
+            one.wait_for_timeout(100)
+            shoot(one, out / f"{name}-{scheme}.png")
+            one.close()
 
 
 if __name__ == "__main__":

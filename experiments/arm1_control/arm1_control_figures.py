@@ -197,6 +197,6 @@ def draw_tracking(every: Sequence[Moved]) -> Figure:
     for ax, label in zip(figure.axes, (r"$\theta_2$ [deg]", "error [deg]", r"$p_{AB}$ [bar]"), strict=True):
         ax.set_ylabel(label)
     pressure.set_xlabel("time [s]")
-    figure.legend(*angle.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    figure.legend(*angle.get_legend_handles_labels(), loc="outside lower center", ncols=1)
     head(figure, "A third-order profile of the angle at a constant pressure of 1 bar")
     return figure

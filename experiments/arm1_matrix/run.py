@@ -210,7 +210,7 @@ def draw_coefficient(found: Sequence[Found]) -> Figure:
         ax.axhline(-20.0, color=LIMIT, linewidth=1.0, linestyle="--")
         ax.set_title(f"{point[0]:g} deg, {point[1]:g} bar", loc="left")
         frequency_axis(ax, 0.25, 10.0, label=k > 1)
-    figure.axes[0].set_ylim(-120.0, 10.0)
+    figure.axes[0].set_ylim(-60.0, 10.0)
     for ax in figure.axes[::2]:
         ax.set_ylabel("|$k_I$| [dB]")
     keys = [Line2D([], [], color=c, label=name) for c, name in zip(COLOURS, SETS, strict=False)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -23,35 +24,46 @@ _WORDS = {
 
 @styled()
 def draw_steps(runs: Mapping[str, Sequence[Recording]]) -> dict[str, Figure]:
-    """A page an experiment: the four measured outputs under each set of controllers, and their setpoints."""
+    """A page an experiment: left the run that ends by itself, right 3 s of each step of the other."""
     out = {}
     for k, (name, title) in enumerate(_WORDS.values()):
-        figure = new_figure(4, 1, (FULL_WIDTH_IN, 7.0), sharex=True)
-        for which, (controllers, recordings) in reversed(list(enumerate(runs.items()))):
-            _outputs(figure.axes, recordings[k], COLOURS[which], controllers)
-        for ax, (label, column) in zip(figure.axes, _ROWS, strict=True):
-            r = runs["plant's own"][k]
+        own, early = runs["plant's own"][k], runs["source's"][k]
+        steps = _steps_s(own)
+        figure = new_figure(4, 1 + len(steps), (FULL_WIDTH_IN, 6.4), sharey="row", sharex="col")
+        for row, (label, column) in enumerate(_ROWS):
             scale = float(deg(1.0)) if column.endswith("_rad") else 1.0
-            ax.plot(r.column("t_s"), scale * r.column(f"r_{column}"), color="black", linewidth=0.7, label="setpoint")
-            ax.set_ylabel(label)
-        figure.axes[-1].set_xlabel("time [s]")
-        handles, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=4)
+            axes = figure.axes[row * (1 + len(steps)) : (row + 1) * (1 + len(steps))]
+            axes[0].plot(
+                early.column("t_s"), scale * early.column(column), color=COLOURS[1], label="source's controllers"
+            )
+            for ax, at_s in zip(axes[1:], steps, strict=True):
+                _around(ax, own, column, scale, at_s)
+            axes[0].set_ylabel(label)
+        for ax, words in zip(figure.axes, ("until the end", *(f"step at {at:g} s" for at in steps)), strict=False):
+            ax.set_title(words, loc="left")
+        for ax in figure.axes[-1 - len(steps) :]:
+            ax.set_xlabel("time [s]")
+        (left,), right = figure.axes[0].lines, figure.axes[1].lines
+        figure.legend(handles=[left, *right], loc="outside lower center", ncols=3)
         head(figure, title)
         out[name] = figure
     return out
 
 
-def _outputs(axes: Sequence[Axes], r: Recording, colour: str, controllers: str) -> None:
-    for ax, (_, column) in zip(axes, _ROWS, strict=True):
-        scale = float(deg(1.0)) if column.endswith("_rad") else 1.0
-        label = f"{controllers} controllers"
-        ax.plot(r.column("t_s"), scale * r.column(column), color=colour, linewidth=0.9, label=label)
-        ended = r.info.ended_early
-        if ended is not None:
-            label = "leaves the model's range" if ax is axes[0] else ""
-            end = {"marker": "x", "linestyle": "none", "color": colour, "markersize": 6.0, "label": label}
-            ax.plot(r.column("t_s")[-1:], scale * r.column(column)[-1:], **end)
+def _steps_s(r: Recording) -> list[float]:
+    """When a setpoint jumps."""
+    t = r.column("t_s")
+    jumps = {
+        round(float(t[k]), 2) for _, c in _ROWS for k in np.flatnonzero(np.abs(np.diff(r.column(f"r_{c}"))) > 0.02)
+    }
+    return sorted(jumps)
+
+
+def _around(ax: Axes, r: Recording, column: str, scale: float, at_s: float) -> None:
+    t = r.column("t_s")
+    rows = (t > at_s - 0.5) & (t < at_s + 3.0)
+    ax.plot(t[rows] - at_s, scale * r.column(column)[rows], color=COLOURS[0], label="plant's own controllers")
+    ax.plot(t[rows] - at_s, scale * r.column(f"r_{column}")[rows], color="black", linewidth=0.7, label="setpoint")
 
 
 def entitled(figure: Figure, title: str) -> Figure:

@@ -32,7 +32,6 @@ from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noq
 from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.simulated import experiment, header, measure, plan  # noqa: E402
 from loopshape.toolbox.rig.study import Study  # noqa: E402
-from loopshape.view.plots.interaction import interaction_page  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
 
 FIGURES = HERE.parent.parent / "figures" / HERE.name
@@ -73,7 +72,6 @@ def main() -> None:
         "coefficient": draw_coefficient([one for one in found if one.name.startswith("angles")]),
         "matrix": draw_matrix([one for one in found if one.name == "angles one at a time"]),
         "cause": draw_cause(steps, found[:2]),
-        "four_loops": interaction_page(found[2].met),
     }
     for name, figure in pages.items():
         write_bytes_whole(FIGURES / f"{name}.png", png(figure))

@@ -122,4 +122,4 @@ def wrong_numbers(ax: Axes, tables: Tables) -> None:
         )
     ax.set(xlabel="the number in the feedforward is off by [%]", ylabel="rms error [deg]", title="with wrong numbers")
     ax.set_ylim(0.0, None)
-    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.25), ncols=2)
+    ax.figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=2)

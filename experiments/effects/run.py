@@ -10,14 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.units import deg
-from loopshape.io.files import write_bytes_whole
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
-from loopshape.toolbox.arm.effects_page import effects_page
 from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet
 from loopshape.toolbox.rig.effect_sheets import sheets
 from loopshape.toolbox.rig.effects import asked
-from loopshape.view.style import png
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # the study's own second file, however it is started
@@ -46,10 +43,6 @@ def main() -> None:
     for words, chosen in (("first forms", [r for r in answers if (r[0], r[1]) in names]), ("all forms", answers)):
         print(f"{words}: {sum(r[6] == 'yes' for r in chosen)} of {len(chosen)} claims hold")
     print("ended early:", [(s.form.effect, s.form.form, s.ended) for s in found if s.ended])
-    half = (len(first) + 1) // 2
-    for k, part in enumerate((first[:half], first[half:])):
-        title = f"What each effect does to the 1-DoF arm ({k + 1} of 2)"
-        write_bytes_whole(FIGURES / f"effects_{k + 1}.png", png(effects_page(part, title=title)))
 
 
 def every_form(plant: Arm1) -> list[str]:

@@ -164,7 +164,7 @@ def _row(name: str, how: str, bandwidth_hz: float, verdict: Verdict, begun: floa
 @styled()
 def fronts(rows: Sequence[Sequence[str]]) -> Figure:
     """Bandwidth over that of the first structure, against the controller's order, |CS| and the detuning margin."""
-    figure = new_figure(1, 3, (11.0, 3.4), sharey=True)
+    figure = new_figure(1, 3, (7.0, 3.4), sharey=True)
     left, middle, right = figure.axes
     for name in dict.fromkeys(row[0] for row in rows):
         mine = [row for row in rows if row[0] == name]
@@ -172,10 +172,11 @@ def fronts(rows: Sequence[Sequence[str]]) -> Figure:
         left.plot([int(row[5]) for row in mine], gain, "o-", label=name)
         middle.plot([float(row[3]) for row in mine], gain, "o-")
         right.semilogx([float(row[4]) for row in mine], gain, "o-")
-    left.set(xlabel="order of C", ylabel="bandwidth over that of the first structure", title="What blocks pay")
-    middle.set(xlabel="peak |CS| [dB]", title="what they cost in control")
-    right.set(xlabel="detuning margin [%]", title="and in detuning margin")
-    left.legend(fontsize=7)
+    left.set(xlabel="order of C", ylabel="bandwidth / that of the first structure", title="bandwidth over order")
+    middle.set(xlabel="peak |CS| [dB]", title="over control effort")
+    right.set(xlabel="detuning margin [%]", title="over detuning margin")
+    right.set_xticks([0.05, 0.2, 1.0, 3.0], ["0.05", "0.2", "1", "3"])
+    figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 

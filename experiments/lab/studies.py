@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from text_layout import looked_at
 
 from loopshape.core.errors import LoopshapeError, UnreadableInputError, WrongUseError
 
@@ -90,7 +91,7 @@ def run(name: str, script: Path) -> int:
         encoding="utf-8",
         errors="replace",
         check=False,
-        env={**os.environ, **SINGLE, "MPLBACKEND": "Agg"},
+        env={**looked_at(), **SINGLE, "MPLBACKEND": "Agg"},
     )
     word = "ran" if ended.returncode == 0 else f"FAILED (exit code {ended.returncode})"
     print(f"== {name}: {word}, {time.monotonic() - started:.0f} s ==\n{ended.stdout}", flush=True)

@@ -40,7 +40,7 @@ from loopshape.loop.predict.prediction import predict
 from loopshape.loop.predict.remeasured import Remeasured, remeasure
 from loopshape.loop.verdict import check
 from loopshape.view.style import png
-from loopshape.view.verdict.prediction import comparison_grid, prediction_page, steps_grid
+from loopshape.view.verdict.prediction import comparison_grid, prediction_page
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "lab"))
 from plant_behind import plant_behind
@@ -212,7 +212,6 @@ def draw(made: Sequence[Prediction], found: Sequence[Remeasured]) -> None:
     pages = {
         "predicted": prediction_page(made),
         "compared": comparison_grid(made, measured, [one.comparisons[0] for one in found]),
-        "steps": steps_grid([s for one in found for s in one.steps]),
     }
     for name, figure in pages.items():
         write_bytes_whole(FIGURES / f"{name}_{loop}.png", png(figure))

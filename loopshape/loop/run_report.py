@@ -119,7 +119,7 @@ class Missing:
 
 @dataclass(frozen=True, eq=False)
 class RunReport:
-    """All that a report of one run shows. `date` is the caller's word: the same report gives the same page.
+    """All that a report of one run shows. `date` and `author` are the caller's words: same report, same page.
 
     `checked` holds the loops that have FRFs and a controller, `unchecked` those that requirements name and that could
     not be compared with them; `frfs` all FRFs, `matrices` those of several channels. `figures_left_out` says of each
@@ -146,6 +146,7 @@ class RunReport:
     texts: tuple[GivenText, ...] = ()
     diagram: Diagram | None = None
     inner: Mapping[str, Verdict] = field(default_factory=dict)
+    author: str = ""
 
     @property
     def outcome(self) -> str:

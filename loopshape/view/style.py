@@ -22,6 +22,7 @@ LIMIT = "#B2182B"  # what must not be crossed
 QUIET = "#6E6E6E"  # what only helps to read
 FULL_WIDTH_IN = 7.0
 HEAD_IN = 1.0  # of a figure's height, which its own size allows for title and details
+MOST_DETAILS = 4  # lines under a title
 DPI = 150
 MARKS = re.compile(r"\\[a-z]{2}[a-z]+|[$_{}]")
 
@@ -98,8 +99,13 @@ def shades(n: int) -> list[str]:
 
 @styled()
 def head(figure: Figure, title: str, *details: str) -> None:
-    """Title at the left, details below it in grey; the figure grows by what leaves the axes too little room."""
+    """Title at the left, at most four lines of details below it in grey; the figure grows by what the axes lack.
+
+    Longer details end in "...": they stand whole in the FRF's `method` and `notes`, and in the report.
+    """
     lines = [line for detail in details for line in wrapped(detail, round(16.5 * figure.get_figwidth()))]
+    if len(lines) > MOST_DETAILS:
+        lines = [*lines[: MOST_DETAILS - 1], f"{lines[MOST_DETAILS - 1]} ..."]
     room = 0.24 + 0.165 * len(lines)
     height = figure.get_figheight() + max(0.0, room - HEAD_IN)
     figure.set_figheight(height)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from bench_nouns import Block, LoopSetup, RecordingInfo
@@ -33,6 +34,16 @@ complementary_peak_db = 8.0
 control_high_frequency_db = 20.0
 control_high_frequency_from_hz = 30.0
 bandwidth_hz = {bandwidth}
+"""
+
+RESONANCE = """
+format = "loopshape-requirements/1"
+
+[[loop]]
+name = "axis"
+sensitivity_peak_db = 6.0
+unstable_poles = 0
+integrators = 0
 """
 
 
@@ -122,3 +133,15 @@ def page_of_points(folder: Path, count: int, note: str, date: str) -> str:
     (folder.parent / "controller.toml").write_text(CONTROLLER)
     (folder.parent / "require.toml").write_text(REQUIRE.format(bandwidth=2.0))
     return page(gather(folder, folder.parent / "controller.toml", folder.parent / "require.toml", date))
+
+
+def on_a_resonance(folder: Path, date: str, author: str) -> Any:
+    """A lag with a resonance at 40 Hz of damping 0.005, under a controller whose notch stands exactly on it."""
+    f_hz, w = np.geomspace(0.5, 200.0, 600), TWO_PI * 40.0
+    s = 1j * TWO_PI * f_hz
+    H = w**2 / ((s + 1.0) * (s**2 + 0.01 * w * s + w**2))
+    write_frfs(folder, [ls.FRF.from_arrays(f_hz, H, relative_std=0.002, rate_hz=2000.0, loop="axis", recording="one")])
+    C = ls.controller(ls.gain(60.0), ls.notch(40.0, 0.005, 0.5), rate_hz=2000.0, loop="axis")
+    ls.write(C, folder / "c.toml")
+    (folder / "r.toml").write_text(RESONANCE)
+    return gather(folder, folder / "c.toml", folder / "r.toml", date, author=author)

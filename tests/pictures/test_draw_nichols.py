@@ -104,7 +104,9 @@ def test_the_curves_are_the_open_loops_and_the_worst_is_drawn_last() -> None:
     order = [k for k in range(24) if k != worst] + [worst]
     for k, line in zip(order, curves, strict=True):
         phase, size = line.get_data()
-        assert np.allclose(open_loop(phase, size), loops[k].L[loops[k].plant.valid])
+        L, plant = loops[k].L, loops[k].plant
+        scribble = (np.abs(L) < 0.25) & (plant.relative_std[:, 0, 0] > 0.03)  # far from -1 noise is dots, no curve
+        assert np.allclose(open_loop(phase, size)[np.isfinite(size)], L[plant.valid & ~scribble])
         assert -270.0 < phase[0] <= 90.0
     assert curves[-1].get_linewidth() > 1.5 * max(line.get_linewidth() for line in curves[:-1])
     assert ax.get_xlabel() == "open-loop phase [deg]"

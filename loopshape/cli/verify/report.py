@@ -19,7 +19,8 @@ def report(
     diagram: DiagramFile = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: report.html in the run.")] = None,
     date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
-    figures_mb: Annotated[float, typer.Option(min=0.0, help="Embed pictures up to this size.")] = 0.7,
+    figures_mb: Annotated[float, typer.Option(min=0.0, help="Size of pictures beside the main ones.")] = 0.7,
+    author: Annotated[str, typer.Option(help="Who signs it.")] = "",
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -28,7 +29,7 @@ def report(
     from loopshape.view.html.words import WORDS
 
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, size = write_report(path, run, (controller, require, diagram), date, figures_mb)
+    made, size = write_report(path, run, (controller, require, diagram), date, figures_mb, author)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())

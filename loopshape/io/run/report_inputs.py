@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -27,7 +27,9 @@ from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_m
 from loopshape.loop.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.loop.verdict import check_loops
 
-FIGURES_BYTES = 700_000  # of the pictures that a report carries, together
+FIGURES_BYTES = 700_000  # of the pictures that a report carries beside the main ones, together
+#: beginnings of the names of the main pictures, which no budget leaves out
+_MAIN = ("nichols_", "loop_", "sensitivities_", "atlas_", "frf_", "matrix_", "interaction_", "gap")
 
 
 def gather(
@@ -37,6 +39,7 @@ def gather(
     date: str,
     figures_bytes: int = FIGURES_BYTES,
     diagram: Path | None = None,
+    author: str = "",
 ) -> RunReport:
     """All that is known of a run and of a controller checked on its FRFs, or on what a diagram's tuned block meets.
 
@@ -53,13 +56,14 @@ def gather(
     done = {one.verdict.loop for one in checked}
     sheets = _sheets(run) if run is not None else ()
     pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
-    figures, left = stored_figures(folder, figures_bytes, lambda name: name.rsplit(".", 1)[0] in pages)
+    figures, left = stored_figures(folder, figures_bytes, lambda name: _rank(name, pages))
     given = [("controller", controller), ("requirements", require), ("diagram", diagram)]
     further = [path for _, path in given if path is not None]
     given += [("run", folder / "run.toml")] if run is not None else []
     return RunReport(
         name=folder.resolve().name,
         date=date,
+        author=author,
         versions=_versions(),
         run=run,
         recordings=sheets,
@@ -78,6 +82,11 @@ def gather(
         diagram=drawn,
         inner={} if tuned is None else tuned.inner,
     )
+
+
+def _rank(name: str, pages: Collection[str]) -> int:
+    """0 for the main pictures, 2 for pages of single recordings, 1 for all others."""
+    return 2 if name.rsplit(".", 1)[0] in pages else int(not name.startswith(_MAIN))
 
 
 def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...]]:

@@ -49,8 +49,8 @@ def stored_figures(
 ) -> tuple[tuple[StoredFigure, ...], dict[str, str]]:
     """Pictures (PNG, SVG) of a run up to a sum of bytes, and why each other one is left out.
 
-    They are taken by rising `rank` of their name, then by name; a picture too large is passed over and smaller ones
-    after it still enter.
+    They are taken by rising `rank` of their name, then by name; those of rank 0 enter whatever their size; of the
+    others one too large is passed over and smaller ones after it still enter.
     """
     found, left, used = [], {}, 0
     paths = [p for p in (folder / FIGURES).glob("*") if p.is_file() and not p.name.startswith(".")]
@@ -63,13 +63,13 @@ def stored_figures(
         kind = path.suffix.removeprefix(".").lower()
         if kind not in _BEGINNINGS or not data.lstrip().startswith(_BEGINNINGS[kind]):
             left[path.name] = "no PNG or SVG"
-        elif used + len(data) > limit_bytes:
+        elif rank(path.name) > 0 and used + len(data) > limit_bytes:
             left[path.name] = (
                 f"{len(data) / 1e6:.1f} MB more would exceed the {limit_bytes / 1e6:g} MB kept for pictures"
             )
         else:
             found.append(StoredFigure(path.name, kind, data))
-            used += len(data)
+            used += len(data) if rank(path.name) > 0 else 0
     return tuple(found), left
 
 

@@ -30,12 +30,13 @@ TITLES = (
     r"$u\rightarrow p_A{-}p_B$, phase", r"statics, $p_A{-}p_B$", r"step, $\theta_2$",
 )  # fmt: skip
 UNITS = ("dB over Hz", "deg over Hz", "dB over Hz", "deg over Hz", "mbar over deg", "deg over s")
-ROW_IN = 0.84
+ROW_IN = 1.05
+ON_A_PAGE = 6
 STEP_S = 1.0  # when the setpoint jumps
 
 
 def draw_effects(path: Path, words: Sequence[str]) -> list[Path]:
-    """Pages of what effects do, at most eleven a page; gives the files. Refuses another ending than .png."""
+    """Pages of what effects do, at most six a page; gives the files. Refuses another ending than .png."""
     from loopshape.toolbox.arm.arm1 import Arm1
     from loopshape.toolbox.arm.effect.effect_study import effect_study, paths, signals
     from loopshape.toolbox.rig.effect_sheets import sheets
@@ -47,7 +48,7 @@ def draw_effects(path: Path, words: Sequence[str]) -> list[Path]:
         raise WrongUseError("a page of effects is a .png file", str(path), f"write {path.with_suffix('.png')}")
     every = words or list(dict.fromkeys(form.effect for form in arm.effects))
     found = list(sheets(arm, effect_study(), asked(arm, every), signals, paths))
-    pages = -(-len(found) // 11)
+    pages = -(-len(found) // ON_A_PAGE)
     each = -(-len(found) // pages)
     files = [path.with_stem(f"{path.stem}_{k + 1}") for k in range(pages)] if pages > 1 else [path]
     return [
@@ -72,7 +73,7 @@ def effects_page(sheets: Sequence[EffectSheet], *, title: str = "What each effec
     if not sheets:
         raise WrongUseError("a page of effects needs a sheet", "none", "name an effect")
     rows = len(sheets)
-    figure = new_figure(rows, 6, (FULL_WIDTH_IN + 0.6, 1.3 + ROW_IN * rows))
+    figure = new_figure(rows, 6, (FULL_WIDTH_IN, 1.3 + ROW_IN * rows))
     for k, sheet in enumerate(sheets):
         row = figure.axes[6 * k : 6 * k + 6]
         _frfs(row, sheet)
@@ -152,7 +153,7 @@ def _step(ax: Axes, sheet: EffectSheet) -> None:
 def _finish(row: Sequence[Axes], sheet: EffectSheet, *, last: bool) -> None:
     """Small ticks, no numbers under any but the last row, and the row's name above its first panel."""
     for ax in row:
-        ax.tick_params(labelsize=6.5, pad=1.5, labelbottom=last, length=2.0)
+        ax.tick_params(labelsize=7.0, pad=1.5, labelbottom=last, length=2.0)
         ax.locator_params(axis="y", nbins=4)
     form = sheet.form
     size = f"{form.quantity} {number(sheet.magnitude)} {'' if form.quantity else form.unit}".strip()

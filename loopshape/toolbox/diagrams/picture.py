@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch
 
 from loopshape.toolbox.diagrams.diagram import Diagram
-from loopshape.view.style import COLOURS, QUIET, axes_or_new, styled
+from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, axes_or_new, styled
 
 #: distance of columns and of rows, half width and half height of a block, radius of a sum; in units of the diagram
 COLUMN, ROW, WIDE, HIGH, ROUND = 2.0, 1.25, 0.55, 0.34, 0.15
@@ -140,8 +140,9 @@ def diagram(D: Diagram, *, ax: Axes | None = None) -> Axes:
     lines = _Lines(made, D)
     low, high = lines.lowest - 0.3, lines.highest + 0.3
     if ax is None:
-        size = (0.52 * (np.ptp(xs) + 3.2), 0.52 * (high - low))
-        ax = Figure(figsize=size).add_subplot()
+        wide = float(np.ptp(xs)) + 3.2
+        unit_in = min(0.52, FULL_WIDTH_IN / wide)
+        ax = Figure(figsize=(unit_in * wide, unit_in * (high - low))).add_subplot()
     ax = axes_or_new(ax)
     ax.set_axis_off()
     ax.set_aspect("equal")

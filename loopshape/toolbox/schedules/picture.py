@@ -126,10 +126,10 @@ def _lines(points: Sequence[PointCost], keys: Sequence[str]) -> dict[str, list[P
 
 @styled()
 def schedule_page(found: Schedule) -> Figure:
-    """Costs above, the scheduled parameters below, both in words over them."""
-    names = distinct(found)
+    """Costs above; below them the two parameters that follow the operating point best, which a schedule could hold."""
+    names = scheduled(found)[:2]
     rows = (len(names) + 1) // 2
-    figure = Figure(figsize=(FULL_WIDTH_IN, 4.0 + 1.7 * rows))
+    figure = Figure(figsize=(FULL_WIDTH_IN, 4.0 + 2.2 * rows))
     grid = figure.add_gridspec(rows + 1, 2, height_ratios=[1.7] + [1.0] * rows)
     costs(found, ax=figure.add_subplot(grid[0, :]))
     for k, name in enumerate(names):
@@ -148,6 +148,20 @@ def schedule_page(found: Schedule) -> Figure:
         f"lowest bandwidth {found.own_hz:.3g} Hz scheduled, {found.robust_hz:.3g} Hz robust (dashed)",
     )
     return figure
+
+
+def scheduled(found: Schedule) -> list[str]:
+    """Parameters that vary, first the one of which a quadratic of the operating point explains most."""
+    points = np.array([[p.operating_point[key] for key in varying(found.points)] for p in found.points])
+    X = np.column_stack([np.ones(len(found.points)), points, points**2])
+    values = found.parameters()
+
+    def unexplained(name: str) -> float:
+        y = np.log(np.abs(np.array(values[name])) + 1e-300)
+        spread = float(np.sum((y - y.mean()) ** 2))
+        return float(np.sum((y - X @ np.linalg.lstsq(X, y, rcond=None)[0]) ** 2)) / spread if spread > 0.0 else 1.0
+
+    return sorted(distinct(found), key=unexplained)
 
 
 def distinct(found: Schedule) -> list[str]:

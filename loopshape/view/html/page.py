@@ -16,7 +16,7 @@ from loopshape.view.html import model_parts, run_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces
-from loopshape.view.html.words import WORDS, Cell, count, definitions, details, figure, table
+from loopshape.view.html.words import DASH, WORDS, Cell, count, definitions, details, figure, table
 from loopshape.view.page.page import resource
 from loopshape.view.page.payload import limit_words
 
@@ -79,9 +79,18 @@ def _header(report: RunReport) -> Markup:
         (len(report.checked), "checked loop"),
     ]
     text = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in counts if n)
+    plant = report.run.plant if report.run is not None else ""
+    facts = [("Machine", plant or report.name), ("Date", report.date), ("Author", report.author or DASH)]
     return tag(
-        "header", tag("h1", f"Run {report.name}"), tag("p", f"{text or 'no data'} · {report.date}", class_="quiet")
+        "header",
+        tag("h1", f"Run {report.name}"),
+        _facts(facts),
+        tag("p", text or "no data", class_="quiet"),
     )
+
+
+def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
+    return tag("p", joined(joined([tag("strong", what), " ", word, "   "]) for what, word in facts), class_="facts")
 
 
 Section = tuple[str, str, Content]
@@ -144,7 +153,8 @@ def _plots(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, list[T
     parts: list[Content] = [tag("p", _READ, class_="scripted quiet")]
     for (one, traces), plant in zip(plotted, plants, strict=True):
         title = f"Loop {plant.loop}" if one is not None else f"Plant of loop {plant.loop}, without a controller"
-        inside = [_legend(traces, None if one is None else one.verdict), plots(plant, one, len(traces))]
+        first = one is not None and one is verdict_parts.first(report)
+        inside = [_legend(traces, None if one is None else one.verdict), plots(plant, one, len(traces), first)]
         below = tag("p", _thinned(traces, one is not None), class_="quiet")
         parts.append(tag("div", tag("h3", title), *inside, below, class_="plots"))
     return joined(parts)

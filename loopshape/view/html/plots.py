@@ -55,8 +55,8 @@ def _plot_of(line: RequirementResult) -> str:
     return f"{name}-{'deg' if phase else 'db'}"
 
 
-def plots(plant: FRF, checked: CheckedLoop | None, points: int) -> Markup:
-    """The plots of a loop, or of a plant without a controller."""
+def plots(plant: FRF, checked: CheckedLoop | None, points: int, first: bool = False) -> Markup:
+    """The plots of a loop, or of a plant without a controller; the picture of the `first` stands at the verdict."""
     names = ("P",) if checked is None else ("P", "L")
     drawn = [_magnitude(name, plant, points) for name in names]
     drawn += [_figure(f"{name}-deg", f"{_TITLES[name]}: phase", f"phase of {name} [deg]", points) for name in names]
@@ -64,7 +64,7 @@ def plots(plant: FRF, checked: CheckedLoop | None, points: int) -> Markup:
         words = nichols_words(checked.requirements)
         drawn.append(_figure("L-nichols", "Nichols: open loop L", None, points, words))
         drawn += [_magnitude(name, plant, points) for name in ("S", "T", "CS", "PS")]
-    return joined([tag("div", *drawn, class_="plot-grid"), _without_script(checked)])
+    return joined([tag("div", *drawn, class_="plot-grid"), _without_script(checked, first)])
 
 
 def _magnitude(name: str, plant: FRF, points: int) -> Markup:
@@ -81,15 +81,19 @@ def _figure(key: str, title: str, label: str | None, points: int, words: str = "
     return tag("figure", tag("figcaption", title), canvas, note, class_="plot tall" if words else "plot")
 
 
-def _without_script(checked: CheckedLoop | None) -> Markup:
+def _without_script(checked: CheckedLoop | None, first: bool) -> Markup:
     """What stands in place of the plots where a reader's program runs no script, as previews of mail do."""
     words = "These plots need JavaScript, which is off here. The tables are complete; loopshape figures draws pictures."
-    if checked is None:
-        return tag("noscript", tag("p", words))
+    shown = None if checked is None or first else picture(checked)
+    return tag("noscript", tag("p", words), shown)
+
+
+def picture(checked: CheckedLoop) -> Markup:
+    """The open loop in Nichols' chart, as a picture."""
     chart = figure_of(nichols(checked.loops, checked.requirements, verdict=checked.verdict))
     source = Markup(f"data:image/png;base64,{b64encode(png(chart)).decode('ascii')}")
     alt = f"Nichols plot of the open loop of {checked.verdict.loop} at all operating points"
-    return tag("noscript", tag("p", words), tag("figure", tag("img", src=source, alt=alt), class_="pictures"))
+    return tag("figure", tag("img", src=source, alt=alt), class_="chart")
 
 
 def nichols_words(required: Requirements | None) -> str:

@@ -9,13 +9,14 @@ import numpy as np
 
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
-from loopshape.data.result.detuning import Reach
+from loopshape.data.result.detuning import WARNED_PERCENT, Reach
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import Row, band_text, row_of
 from loopshape.loop.loop import Loop
 from loopshape.loop.run_report import CheckedLoop, RunReport
 from loopshape.view.html.markup import Content, Markup, joined, tag
+from loopshape.view.html.plots import picture
 from loopshape.view.html.words import (
     DASH,
     TYPESET,
@@ -51,7 +52,34 @@ def verdict(report: RunReport) -> Markup:
         _card(name, "undecided", ["Asked for, and not checked: see what is missing."]) for name in report.unchecked
     ]
     whole = tag("p", joined([badge(report.outcome), " ", heads[report.outcome]]), class_="whole")
-    return joined([whole, tag("div", *cards, class_="cards-row") if cards else None])
+    row = tag("div", *cards, class_="cards-row") if cards else None
+    shown = first(report)
+    return joined([whole, row, None if shown is None else picture(shown)])
+
+
+def first(report: RunReport) -> CheckedLoop | None:
+    """The loop whose plot stands beside the verdict: the worst."""
+    worst = [one for one in report.checked if one.outcome == report.outcome] or list(report.checked)
+    return worst[0] if worst else None
+
+
+def hanging(found: Verdict) -> Markup | None:
+    """What the verdict hangs on: the least shift of the plant's frequencies that breaks it, where it is below 2 %."""
+    shifts = {n: m.detuning.worst for n, m in found.margins.items() if m.detuning is not None}
+    name = min(shifts, key=lambda n: shifts[n].percent, default="")
+    if not name or shifts[name].beyond or shifts[name].percent >= WARNED_PERCENT:
+        return None
+    detuning, worst = found.margins[name].detuning, shifts[name]
+    assert detuning is not None
+    what = LIMIT_OF[worst.breaks].label if worst.breaks in LIMIT_OF else worst.breaks
+    words = f"Hangs on the plant's frequencies: a shift of {number(worst.percent, 2)} % breaks {what}"
+    lost = detuning.lost
+    if lost is not None and np.isfinite(lost.left):
+        label = LIMIT_OF[lost.quantity].label if lost.quantity in LIMIT_OF else lost.quantity
+        words += f"; at {number(lost.shift_percent)} % {label} is {number(lost.left)} {lost.unit}"
+        words += f", required {number(lost.required)}"
+        words += "" if lost.resonance_hz is None else f", by the resonance at {number(lost.resonance_hz)} Hz"
+    return tag("p", tag("strong", f"{words} ({name})."), class_="hangs")
 
 
 def _card(loop: str, outcome: str, sentences: Iterable[Content]) -> Markup:
@@ -64,7 +92,7 @@ def _card(loop: str, outcome: str, sentences: Iterable[Content]) -> Markup:
 def _sentences(one: CheckedLoop) -> list[Content]:
     """What a loop's verdict comes from: first what fails, then what is open, else what holds."""
     found, points = one.verdict, count(len(one.loops), "operating point")
-    said: list[Content] = []
+    said: list[Content] = [] if (hangs := hanging(found)) is None else [hangs]
     for word in (ClosedLoop.UNSTABLE, ClosedLoop.UNDECIDED):
         names = [name for name, m in found.margins.items() if m.stable is word]
         if names:

@@ -41,6 +41,8 @@ REGION_DB, REGIONS, NEXT_WORST = 15.0, 8, 2
 #: measured lines drawn as dots, at most
 DOTS = 300
 _REACH_DB, _SEEN_DB = 40.0, 0.4
+#: |L| below which, and standard deviation above which, lines are dots and no curve
+_FAR_BELOW, _VISIBLE_STD = 0.25, 0.03
 _SIZE_IN = (6.35, 4.3)  # what is left of the figure for the axes, about
 _FAINT = (NOT_VALID, "measured")
 _TICK: dict[str, Any] = {"marker": "o", "color": "black", "markerfacecolor": "white", "markersize": 3.0}
@@ -55,6 +57,12 @@ class _Curve:
     size_db: Array
     known: np.ndarray
     look: dict[str, Any]
+
+    @property
+    def drawn(self) -> np.ndarray:
+        """Known lines without those far below 0 dB whose noise shows: they are dots, a curve would only scribble."""
+        far = self.size_db < db(_FAR_BELOW)
+        return self.known & ~(far & (self.loop.plant.relative_std[:, 0, 0] > _VISIBLE_STD))
 
 
 @styled()
@@ -76,7 +84,7 @@ def nichols(
     worst = worst_of(loops, verdict)
     for k, one in enumerate(curves):
         if k != worst.index:
-            draw_known(ax, one.phase_deg, one.size_db, one.known, **one.look)
+            draw_known(ax, one.phase_deg, one.size_db, one.drawn, **one.look)
     entries = _draw_worst(ax, curves[worst.index], len(loops))
     _axes(ax)
     entries += _regions(ax, curves, worst)
@@ -126,7 +134,7 @@ def _draw_worst(ax: Axes, one: _Curve, count: int) -> list[Entry]:
         entries.append(
             ("its frequencies as measured" if count > 1 else "frequencies as measured", dots | {"markersize": 4.0})
         )
-    draw_known(ax, one.phase_deg, one.size_db, one.known, **look)
+    draw_known(ax, one.phase_deg, one.size_db, one.drawn, **look)
     return entries
 
 

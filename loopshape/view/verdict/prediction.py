@@ -21,7 +21,7 @@ from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, head, new_figure
 #: up to so many curves carry their bands
 BANDS = 3
 _PREDICTED, _MEASURED = COLOURS[0], COLOURS[1]
-_COLUMNS = 4
+_COLUMNS, _MOST = 3, 9
 
 
 @styled()
@@ -83,12 +83,14 @@ def comparison_grid(
         raise WrongUseError(
             "a comparison's picture needs a prediction and a measurement for each", f"{len(comparisons)}"
         )
-    figure, panels = _grid(len(comparisons))
+    shown = _most_telling([_departure(c) for c in comparisons])
+    figure, panels = _grid(len(shown))
     band = [
         min(p.sensitivity.frequency_hz[0] for p in predictions),
         max(p.sensitivity.frequency_hz[-1] for p in predictions),
     ]
-    for ax, one, two, found in zip(panels, predictions, measured, comparisons, strict=False):
+    for ax, k in zip(panels, shown, strict=False):
+        one, two, found = predictions[k], measured[k], comparisons[k]
         seen = two.select((two.frequency_hz >= band[0]) & (two.frequency_hz <= band[1]))
         for frf, colour in ((one.sensitivity, _PREDICTED), (seen, _MEASURED)):
             draw_band(ax, frf.frequency_hz, *magnitude_band_db(frf), color=colour, alpha=0.25)
@@ -98,18 +100,32 @@ def comparison_grid(
             ax.axvspan(worst.low_hz, worst.high_hz, color=LIMIT, alpha=0.10, linewidth=0.0)
         frequency_axis(ax, band[0], band[1], label=False)
         _panel_title(ax, point(found.operating_point) or found.measured_from, _verdict(found), found.outcome)
-    low = min(float(ax.dataLim.y0) for ax in panels[: len(comparisons)])
-    for ax in panels[: len(comparisons)]:
+    low = min(float(ax.dataLim.y0) for ax in panels[: len(shown)])
+    for ax in panels[: len(shown)]:
         ax.set_ylim(max(5.0 * np.floor(low / 5.0), -45.0), 12.0)
-    _outer_labels(panels[: len(comparisons)], "frequency [Hz]", "|S| [dB]")
+    _outer_labels(panels[: len(shown)], "frequency [Hz]", "|S| [dB]")
     _legend(figure, [("predicted, 95 %", _PREDICTED), ("measured, 95 %", _MEASURED)])
     confirmed = sum(c.outcome == "confirmed" for c in comparisons)
     head(
         figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {confirmed} of {len(comparisons)} confirmed",
         f"level {comparisons[0].level:.2g} each, deviations of {comparisons[0].tolerance_db:g} dB rms count as none;"
-        " shaded: the band that differs most",
+        " shaded: the band that differs most", *_left_out(len(shown), len(comparisons)),
     )  # fmt: skip
     return figure
+
+
+def _departure(found: Comparison) -> float:
+    """How far a comparison is from its prediction, in dB; of those that are not refuted nothing."""
+    return abs(found.worst.sensitivity_db) if found.outcome == "refuted" and found.worst is not None else 0.0
+
+
+def _most_telling(departures: Sequence[float]) -> list[int]:
+    """Places of the panels that are shown: as many as can be read, those that depart most, in their own order."""
+    return sorted(sorted(range(len(departures)), key=lambda k: -departures[k])[:_MOST])
+
+
+def _left_out(shown: int, every: int) -> list[str]:
+    return [f"{shown} of {every} operating points, those that differ most"] if shown < every else []
 
 
 def _verdict(found: Comparison) -> str:
@@ -126,7 +142,9 @@ def steps_grid(steps: Sequence[StepComparison]) -> Figure:
     """Measured steps over the predicted ones, all as unit steps, a panel for each operating point."""
     if not steps:
         raise WrongUseError("a picture of steps needs at least one", "none", "record a setpoint that steps")
-    places = list(dict.fromkeys(_place(step) for step in steps))
+    every = list(dict.fromkeys(_place(step) for step in steps))
+    misses_of = [max((s.largest_miss for s in steps if _place(s) == place), default=0.0) for place in every]
+    places = [every[k] for k in _most_telling([miss if np.isfinite(miss) else 0.0 for miss in misses_of])]
     figure, panels = _grid(len(places))
     last = _shown_s(steps)
     for ax, place in zip(panels, places, strict=False):
@@ -145,7 +163,8 @@ def steps_grid(steps: Sequence[StepComparison]) -> Figure:
         ax.set_ylim(-0.25, 1.75)
     _outer_labels(panels[: len(places)], "time after the step [s]", "output [1]")
     _legend(figure, [("predicted, 95 % of the fit's parameters", _PREDICTED), ("measured, each step", _MEASURED)])
-    head(figure, f"Steps of loop {symbol(steps[0].loop)}, as of a unit step of the setpoint")
+    title = f"Steps of loop {symbol(steps[0].loop)}, as of a unit step of the setpoint"
+    head(figure, title, *_left_out(len(places), len(every)))
     return figure
 
 
@@ -164,7 +183,7 @@ def _place(step: StepComparison) -> str:
 def _grid(count: int) -> tuple[Figure, list[Axes]]:
     columns = min(_COLUMNS, count)
     rows = -(-count // columns)
-    figure = new_figure(rows, columns, (FULL_WIDTH_IN, 1.3 + 1.32 * rows), sharex=True, sharey=True, squeeze=False)
+    figure = new_figure(rows, columns, (FULL_WIDTH_IN, 1.3 + 1.6 * rows), sharex=True, sharey=True, squeeze=False)
     panels = list(figure.axes)
     for ax in panels[count:]:
         ax.set_visible(False)
@@ -172,11 +191,10 @@ def _grid(count: int) -> tuple[Figure, list[Axes]]:
 
 
 def _panel_title(ax: Axes, first: str, second: str, outcome: str) -> None:
-    ax.set_title(first, fontsize=6.5, loc="left", pad=2.5)
+    ax.set_title(first, fontsize=8.0, loc="left", pad=2.5)
     colour = LIMIT if outcome == "refuted" else "0.25"
     box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
-    ax.text(0.97, 0.06, second, fontsize=6.5, ha="right", va="bottom", color=colour, transform=ax.transAxes, bbox=box)
-    ax.tick_params(labelsize=6.5)
+    ax.text(0.97, 0.06, second, fontsize=7.5, ha="right", va="bottom", color=colour, transform=ax.transAxes, bbox=box)
 
 
 def _outer_labels(panels: Sequence[Axes], x: str, y: str) -> None:
@@ -184,8 +202,8 @@ def _outer_labels(panels: Sequence[Axes], x: str, y: str) -> None:
     columns = min(_COLUMNS, len(panels))
     for k, ax in enumerate(panels):
         last = k + columns >= len(panels)
-        ax.set_xlabel(x if last else "", fontsize=7.5)
-        ax.set_ylabel(y if k % columns == 0 else "", fontsize=7.5)
+        ax.set_xlabel(x if last else "")
+        ax.set_ylabel(y if k % columns == 0 else "")
         ax.tick_params(labelbottom=last)
 
 

@@ -213,6 +213,35 @@ def test_faults_of_recordings_are_named(parts: Page) -> None:
     assert "y_m of recording near.parquet has 1 spike sample at row 700" in parts.text
 
 
+def test_the_first_page_says_machine_date_and_author_and_what_the_verdict_hangs_on(tmp_path: Path) -> None:
+    """A lightly damped resonance under its notch: a shift of less than 2 % breaks a limit, which stands in red."""
+    found = report_run.on_a_resonance(tmp_path / "run", DATE, "A. Engineer")
+    said = page(found)
+    detuning = found.checked[0].verdict.margins["one"].detuning
+    assert detuning is not None
+    assert detuning.worst.percent < 2.0
+    first = said[: said.index('<section id="requirements">')]
+    assert first.count('class="hangs"') == 1
+    assert f"a shift of {detuning.worst.percent:.2g} % breaks" in first
+    assert "A. Engineer" in first
+    assert DATE in first
+    assert first.count("<img") == 1
+    assert ".card p.hangs { color: var(--failed); }" in said
+
+
+@needs_browser
+def test_the_first_page_fits_a4(chromium: Any, whole: str, tmp_path: Path) -> None:
+    """Verdict and plot stand on the first sheet."""
+    (tmp_path / "page.html").write_text(whole, encoding="utf-8")
+    with chromium.new_context(viewport={"width": 718, "height": 1047}) as context:  # A4 within its margins, in CSS px
+        sheet = context.new_page()
+        sheet.emulate_media(media="print")
+        sheet.goto((tmp_path / "page.html").as_uri())
+        box = sheet.locator("#verdict").bounding_box()
+        assert box["y"] + box["height"] <= 1047.0
+        assert sheet.locator("#verdict img").bounding_box()["height"] > 300.0
+
+
 def test_pictures_are_embedded_up_to_a_limit_and_the_rest_is_named(parts: Page, run: Path) -> None:
     kinds = [str(a["src"]).split(";")[0] for a in parts.all("img")]
     assert sorted(kinds) == ["data:image/png"] * 2 + ["data:image/svg+xml"]  # one stands in place of the plots
@@ -555,7 +584,7 @@ def test_without_script_a_picture_stands_in_place_of_the_plots(chromium: Any, wh
     with chromium.new_context(java_script_enabled=False) as context:
         still = context.new_page()
         still.goto((tmp_path / "report.html").as_uri())
-        shot = still.locator(".plots noscript img").screenshot()
+        shot = still.locator("#verdict img").screenshot()
         assert not still.locator("canvas").first.is_visible()
     picture = (matplotlib.image.imread(BytesIO(shot))[..., :3] * 255).astype(int)
     blue = (np.abs(picture - [0, 114, 178]).max(axis=2) < 12).sum()  # the first operating point's curve

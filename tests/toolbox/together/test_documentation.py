@@ -1,5 +1,6 @@
 """The documentation site builds without a warning, its pages hang together, and its notebooks run as plain Python."""
 
+import io
 import json
 import pkgutil
 import re
@@ -11,9 +12,13 @@ import tempfile
 from pathlib import Path
 
 import matplotlib
+import matplotlib.figure
 import matplotlib.pyplot as plt
+import numpy as np
 import pytest
-from text_layout import looked_at, unreadable
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
+from text_layout import PlacedText, looked_at, unreadable, unreadable_on_paper, with_texts
 
 import loopshape as ls
 from loopshape.core.toolboxes import found
@@ -23,6 +28,14 @@ DOCS = ROOT / "docs"
 PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "made" not in path.parts)
 NOTEBOOKS, GALLERY = (sorted((DOCS / kind).glob("*.py")) for kind in ("notebooks", "gallery"))
 DRAWN = [path for kind in ("readme", "diagrams", "demo") for path in (ROOT / "figures" / kind).glob("*.png")]
+SHOWN = sorted(
+    {
+        (page.parent / name).resolve()
+        for page in (ROOT / "README.md", *(DOCS / page for page in PAGES))
+        for name in re.findall(r"[\w./-]+\.png", page.read_text())
+        if "figures/" in name and "/out/" not in f"/{name}"
+    }
+)
 SLOW = {"4_detuning", "5_estimators_on_a_sweep"} | {path.stem for path in NOTEBOOKS[1:]}
 
 
@@ -145,12 +158,43 @@ def test_the_picture_of_a_gap_shows_what_the_code_computes(name: str, made: str,
     assert unreadable(pictures[drawn](report)) == []
 
 
+@pytest.mark.parametrize("picture", SHOWN, ids=lambda path: path.relative_to(ROOT / "figures").as_posix())
+def test_a_picture_of_readme_and_docs_is_read_on_paper(picture: Path) -> None:
+    """At the width of A4 no text is smaller than 6 pt, over another or cut; its PNG notes where texts stand."""
+    assert unreadable_on_paper(picture) == [], "make pictures, or make studies"
+
+
+def test_small_overlapping_and_cut_text_of_a_picture_is_found(tmp_path: Path) -> None:
+    figure = matplotlib.figure.Figure(figsize=(14.0, 2.0), dpi=100)
+    figure.text(0.5, 0.5, "small", fontsize=11.0)
+    figure.text(0.5, 0.5, "over it", fontsize=20.0)
+    figure.text(0.995, 0.1, "cut", fontsize=20.0)
+    canvas, buffer = FigureCanvasAgg(figure), io.BytesIO()
+    canvas.draw()
+    Image.fromarray(np.asarray(canvas.buffer_rgba())).save(buffer, "PNG", dpi=(100, 100))
+    (tmp_path / "bare.png").write_bytes(buffer.getvalue())
+    assert unreadable_on_paper(tmp_path / "bare.png") == ["does not note where its texts stand: draw it anew"]
+    texts = [placed(text, figure) for text in figure.texts]
+    (tmp_path / "noted.png").write_bytes(with_texts(buffer.getvalue(), texts))
+    found = unreadable_on_paper(tmp_path / "noted.png")
+    assert found == ["'small' has 5.5 pt", "'cut' is cut", "'small' over 'over it'"]
+    away = [PlacedText("away", 40.0, 100.0, 20.0, 160.0, 60.0)]
+    (tmp_path / "blank.png").write_bytes(with_texts(buffer.getvalue(), away))
+    assert unreadable_on_paper(tmp_path / "blank.png") == ["'away' is not where it is noted"]
+
+
+def placed(text: matplotlib.text.Text, figure: matplotlib.figure.Figure) -> PlacedText:
+    box, height = text.get_window_extent(), figure.bbox.height
+    return PlacedText(
+        text.get_text(), text.get_fontsize() * figure.dpi / 72.0, box.x0, height - box.y1, box.x1, height - box.y0
+    )
+
+
 def test_every_picture_kept_is_named_by_a_page() -> None:
     """By its name or its study's folder: a picture that no page names is neither looked at nor drawn anew."""
     pages = [ROOT / "README.md", *DOCS.rglob("*.md"), *(ROOT / "experiments").rglob("*.md")]
     text = "\n".join(page.read_text() for page in pages if "made" not in page.parts)
-    shape = ROOT / "figures" / "shape"  # `make pictures` draws the page of shape in every size
-    kept = [path for path in sorted((ROOT / "figures").rglob("*.png")) if path.parent != shape]
+    kept = sorted((ROOT / "figures").rglob("*.png"))
     named = [path for path in kept if path.name in text or re.search(rf"figures/{path.parent.name}(?!/[\w-]+\.)", text)]
     assert [str(path.relative_to(ROOT)) for path in kept if path not in named] == []
 

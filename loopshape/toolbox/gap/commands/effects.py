@@ -19,7 +19,7 @@ COLUMNS = ("effect", "block", "form", "words", "unit", "usual", "bounds", "sourc
 def effects(
     plant: Annotated[str, typer.Argument(help="A plant's name.")] = "arm-1dof",
     figure: Annotated[
-        Path | None, typer.Option(help="Draw what each does (1-DoF arm; .png; two pages: NAME_1, NAME_2).")
+        Path | None, typer.Option(help="Draw what each does (1-DoF arm; .png; pages NAME_1, NAME_2, ...).")
     ] = None,
     effect: Annotated[
         list[str] | None,

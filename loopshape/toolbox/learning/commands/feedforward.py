@@ -58,7 +58,7 @@ def feedforward(
         errors = _errors(plant, made, controller_of(read_controllers(controller), plant.loop), move, integrators)
         rows = [[name, e.rms, *e.rms_interval, e.largest, *e.largest_interval] for name, e in errors.items()]
         output.table("Predicted error", ["", "rms", "95 % from", "to", "largest", "95 % from", "to"], rows)
-    drawn = [_draw(run, made, errors)] if figures else []
+    drawn = [_draw(run, made, errors, plant)] if figures else []
     output.say("\n".join([f"taps written to {out}", *drawn]))
     answer = {name: {"rms": e.rms, "rms_interval": e.rms_interval, "largest": e.largest,
                    "largest_interval": e.largest_interval} for name, e in errors.items()}  # fmt: skip
@@ -92,8 +92,8 @@ def _errors(
     }
 
 
-def _draw(run: Path, made: Feedforward, errors: dict[str, Any]) -> str:
+def _draw(run: Path, made: Feedforward, errors: dict[str, Any], plant: FRF) -> str:
     from loopshape.toolbox.learning.picture import feedforward_page
     from loopshape.verbs.pictures import save
 
-    return str(save(feedforward_page(made, errors), figures_of(run) / f"feedforward_{made.loop or 'loop'}.png"))
+    return str(save(feedforward_page(made, errors, plant), figures_of(run) / f"feedforward_{made.loop or 'loop'}.png"))
