@@ -28,7 +28,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.design.problem.measures import opened
+from loopshape.design.problem.disturbed import opened
 from loopshape.design.problem.problem import Problem, problem
 from loopshape.design.problem.rows import Tighten
 from loopshape.design.problem.shifts import Copy, closer, shifted_loops, shifted_verdict
@@ -37,7 +37,7 @@ from loopshape.design.starts import leaps, random_starts
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import points_of
-from loopshape.loop.margin.error_rms import error_warnings, of_points
+from loopshape.loop.margin.disturbed import disturbance_warnings, of_loop, of_points
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, verdict_from, with_warnings
 
@@ -76,9 +76,8 @@ class Task:
         """The problem on copies of the plants, shifted as a detuning margin asks, and its controllers' judge."""
         shifted = shifted_loops(self.loops, copies)
         disturbed = of_points(shifted, self.disturbances)
-        rate_hz = self.unit.rate_hz
-        known = [opened(loop, disturbed.get(name), rate_hz) for name, loop in shifted.items()] if disturbed else []
-        p = problem(list(shifted.values()), asked, rate_hz, self.precision, known)
+        known = [opened(loop, disturbed.get(name), asked) for name, loop in shifted.items()] if disturbed else []
+        p = problem(list(shifted.values()), asked, self.unit.rate_hz, self.precision, known)
 
         def check_of(limits: Requirements) -> Verifier:
             return lambda controller, points=None: shifted_verdict(shifted, controller, limits, points, disturbed)
@@ -93,7 +92,10 @@ class Task:
         loops = [replace(loop, controllers=(C,)) for loop in self.loops]
         named = dict(zip(points_of(self.frfs), loops, strict=True))
         found = verdict_from(best.verdict.margins, named, self.requirements)
-        notes = error_warnings(named, of_points(named, self.disturbances), self.requirements)
+        of = {k: self.requirements.of(loop.plant.operating_point) for k, loop in named.items()}
+        known = of_points(named, self.disturbances)
+        made = {k: of_loop(named[k], found.margins[k], one, of[k]) for k, one in known.items()}
+        notes = disturbance_warnings(named, made, self.requirements)
         found = with_warnings(found, loops, self.requirements, (*self.notes, *notes))
         return with_orders(found, loops, self.frfs, self.requirements)
 

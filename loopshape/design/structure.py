@@ -38,9 +38,10 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, disturbed: bool
             "",
             "add structure = [ { kind = ..., ... } ] with min and max for what may move",
         )
-    if "error_rms" in requirements.limited() and not disturbed:
+    asked = [name for name in requirements.limited() if LIMIT_OF[name].disturbed]
+    if asked and not disturbed:
         raise WrongUseError(
-            f"error_rms of loop {requirements.loop!r} needs what disturbs the loop",
+            f"{', '.join(asked)} of loop {requirements.loop!r} needs what disturbs the loop",
             "no disturbance",
             "give a recording of the closed loop without excitation (--disturbance RUN, disturbance=...)",
         )

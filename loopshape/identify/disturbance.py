@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.signal.windows import tukey
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.units import Array
-from loopshape.data.signal.disturbance import Disturbance
+from loopshape.data.signal.disturbance import LEAST_SAMPLES, Disturbance
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-
-#: share of a recording over which its ends are faded in and out, so that a steep spectrum does not leak
-FADED = 0.2
-SHORTEST = 512
 
 
 def disturbance_of(recording: Recording, loop: LoopSetup) -> Disturbance:
@@ -27,22 +21,10 @@ def disturbance_of(recording: Recording, loop: LoopSetup) -> Disturbance:
     error = np.asarray(recording.signal(loop.output), dtype=float)
     if loop.reference in recording.columns:
         error = np.asarray(recording.signal(str(loop.reference)), dtype=float) - error
-    frequency_hz, power, scatter = powers(error, recording.rate_hz)
-    return Disturbance(
-        frequency_hz, power, scatter, loop.controller, loop.name, recording.info.name, recording.info.operating_point
-    )
-
-
-def powers(values: Array, rate_hz: float) -> tuple[Array, Array, Array]:
-    """Frequencies in Hz of a signal's lines, the power on each, and the variance of that, for noise; (nf,) each."""
-    n = values.size
-    window = tukey(n, FADED, sym=False)
-    spectrum = np.abs(np.fft.rfft((values - values.mean()) * window)[1:]) ** 2
-    power = 2.0 * spectrum / (n * float(window @ window))
-    if n % 2 == 0:
-        power[-1] *= 0.5
-    correlated = n * float(np.sum(window**4)) / float(window @ window) ** 2
-    return np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz)[1:], dtype=float), power, 0.5 * correlated * power**2
+    return Disturbance.from_arrays(
+        error, recording.rate_hz, recorded_under=loop.controller, control=recording.signal(loop.control),
+        loop=loop.name, recording=recording.info.name, operating_point=recording.info.operating_point,
+    )  # fmt: skip
 
 
 def _refuse(recording: Recording, loop: LoopSetup) -> None:
@@ -54,8 +36,8 @@ def _refuse(recording: Recording, loop: LoopSetup) -> None:
         why = f"it excites loop {loop.name}"
     elif loop.controller is None:
         why = f"the controller of loop {loop.name} is not known"
-    elif recording.signal(loop.output).size < SHORTEST:
-        why = f"it holds fewer than {SHORTEST} samples"
+    elif recording.signal(loop.output).size < LEAST_SAMPLES:
+        why = f"it holds fewer than {LEAST_SAMPLES} samples"
     if why is not None:
         raise BadSignalError(
             f"recording {info.file} does not show what disturbs loop {loop.name}", why,

@@ -110,7 +110,7 @@ def _for_limit(loop: Loop, margins: Margins, limit: Limit, required: float) -> I
     read, f = margins[limit.name], loop.frequency_hz
     first, last = float(f[0]), float(f[-1])
     at_hz = float(f[np.argmin(np.abs(1.0 + loop.L))]) if read.at_hz is None else read.at_hz
-    if limit.name == "error_rms":
+    if limit.disturbed:
         return
     if read.value != read.value and not in_sight(loop):
         yield _Wanted(*crossover_below(loop))

@@ -22,7 +22,13 @@ from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.detuning import with_detuning
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import Closed, closed_loops, equivalent_plants, loops_of, matrix_loops, points_of
-from loopshape.loop.margin.error_rms import error_warnings, of_points, refuse_several_disturbed, with_error_rms
+from loopshape.loop.margin.disturbed import (
+    Disturbed,
+    disturbance_warnings,
+    of_loop,
+    of_points,
+    refuse_several_disturbed,
+)
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.several_margins import several_margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
@@ -61,7 +67,8 @@ def check(
 
     A limit of one loop that breaks where the plant's resonances move by up to 2 % is warned of, unless
     `detuning_percent` is required; `detuned` false leaves the detuning margin out where it is not required.
-    `disturbances` tell what one loop's `error_rms` is at their operating points; one alone serves all.
+    `disturbances` tell what one loop's `error_rms` and the limits on its input are about, at their operating points;
+    one alone serves all.
 
     Refuses loops without a controller or an output, requirements of loops that are not there, several rates, what
     disturbs several loops, limits on singular values where outputs have different units.
@@ -120,8 +127,8 @@ def _check_one(
     loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
     named = dict(zip(points_of(frfs), loops, strict=True))
     disturbed = of_points(named, disturbances)
-    found = verdict_on(named, requirements, detuned=detuned, disturbances=disturbed)
-    notes += error_warnings(named, disturbed, requirements)
+    found, made = _verdict_on(named, requirements, detuned=detuned, disturbances=disturbed)
+    notes += disturbance_warnings(named, made, requirements)
     if isinstance(controller, GainScheduled):
         notes += (FROZEN,)
     found = with_warnings(found, loops, requirements, notes)
@@ -239,17 +246,27 @@ def verdict_on(
 ) -> Verdict:
     """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`.
 
-    `disturbances`, by the same names, tell the rms of the error.
+    `disturbances`, by the same names, tell the rms of the error and what the actuator must do.
     """
+    return _verdict_on(loops, requirements, detuned=detuned, disturbances=disturbances)[0]
+
+
+def _verdict_on(
+    loops: Mapping[str, Loop],
+    requirements: Requirements,
+    *,
+    detuned: bool,
+    disturbances: Mapping[str, Disturbance] | None,
+) -> tuple[Verdict, dict[str, Disturbed]]:
     asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
     from_hz = requirements.control_high_frequency_from_hz
     found = {
         name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks, weights=asked[name].weights)
         for name, loop in loops.items()
     }
-    for name, one in (disturbances or {}).items():
-        found[name] = with_error_rms(loops[name], found[name], one)
-    return verdict_from(found, loops, requirements, detuned=detuned)
+    made = {name: of_loop(loops[name], found[name], one, asked[name]) for name, one in (disturbances or {}).items()}
+    found |= {name: found[name].with_readings(**one.readings) for name, one in made.items()}
+    return verdict_from(found, loops, requirements, detuned=detuned), made
 
 
 def verdict_from(

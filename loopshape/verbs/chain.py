@@ -206,7 +206,7 @@ def tune(
     """
     from loopshape.design.tune import tune as tune_one
     from loopshape.design.turns import tune_loops
-    from loopshape.loop.margin.error_rms import refuse_several_disturbed
+    from loopshape.loop.margin.disturbed import refuse_several_disturbed
 
     asked = [R] if isinstance(R, Requirements) else list(R)
     asked = asked if structure is None else [replace(one, structure=tuple(structure)) for one in asked]
@@ -267,7 +267,7 @@ def check(
     >>> ls.check(P, C, ls.Requirements(modulus_margin=0.5, unstable_poles=0)).passed
     True
     """
-    from loopshape.loop.margin.error_rms import refuse_several_disturbed
+    from loopshape.loop.margin.disturbed import refuse_several_disturbed
     from loopshape.loop.verdict import check as check_loops
 
     given = C if isinstance(C, Sequence) else (C,)

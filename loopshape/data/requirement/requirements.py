@@ -45,7 +45,7 @@ class Limit:
     only where its deviation, on the column's scale, is at most this. `asked` is read only where it is asked for,
     `crossing` only where the 0 dB crossing is in sight, and `open` has no end where the last line does not reach it.
     `magnitude` is that of `core.kernels.loops.tuning_rows` which a tuning holds below the limit; `own_rows` says that a
-    tuning reads it otherwise. A limit with neither cannot be tuned for.
+    tuning reads it otherwise. A limit with neither cannot be tuned for. `disturbed` ones need what disturbs the loop.
     """
 
     name: str
@@ -71,6 +71,7 @@ class Limit:
     open: bool = False
     magnitude: str = ""
     own_rows: bool = False
+    disturbed: bool = False
 
     def value(self, column: Any) -> Any:
         """The quantity from the kernel's column, of numbers or arrays."""
@@ -177,7 +178,16 @@ _ROWS: tuple[Limit, ...] = (
           magnitude="FLOOR"),
     Limit("weighted_norm", "at_most", "1", "norm of the weighted loop", positive=True, column="LN_WEIGHTED",
           scale=Scale.LN, asked=True, magnitude="NORM"),
-    Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True, own_rows=True),
+    Limit("error_rms", "at_most", "1", "rms of the error (in the output's unit)", positive=True, own_rows=True,
+          disturbed=True),
+    Limit("control_rms", "at_most", "1", "rms of the plant's input (in its unit)", positive=True, own_rows=True,
+          disturbed=True),
+    Limit("control_peak", "at_most", "1", "peak of the plant's input over the record (in its unit)", positive=True,
+          own_rows=True, disturbed=True),
+    Limit("control_rate", "at_most", "1", "peak rate of the plant's input over the record (in its unit a second)",
+          positive=True, own_rows=True, disturbed=True),
+    Limit("saturation_percent", "at_most", "%", "share of time in saturation", positive=True, most=50.0,
+          why_most="a loop that saturates more of the time is no linear one any more", own_rows=True, disturbed=True),
     Limit("input_output_disk_margin", "at_least", "1", "disk margin, inputs and outputs at once",
           positive=True, most=2.0, together="alone"),
 )  # fmt: skip
@@ -201,6 +211,8 @@ class Requirements:
     much |S| may exceed its masks) to 0. `weights` make one norm of |S|, |T|, |CS| and |PS| over all frequencies, the
     same at all operating points: `weighted_norm` limits it, and the objective may make it small. `error_rms` limits the
     rms of the error, in the output's unit, under what disturbs the loop: `check` and `tune` need a recording of that.
+    So do `control_rms`, `control_peak` and `control_rate` of the plant's input, in its unit, and `saturation_percent`,
+    the share of time at which it lies outside `control_range` (lowest and highest input).
     Where several of `at` hold at an operating point the last has its way. What all loops keep together
     (`ls.check(..., together=...)`) is of `TOGETHER`, the poles and the band alone: `input_output_disk_margin` there.
     Refuses values that make no sense.
@@ -233,6 +245,11 @@ class Requirements:
     loop_floor_db: float | None = None
     weighted_norm: float | None = None
     error_rms: float | None = None
+    control_rms: float | None = None
+    control_peak: float | None = None
+    control_rate: float | None = None
+    saturation_percent: float | None = None
+    control_range: tuple[float, float] | None = None
     masks: tuple[Mask, ...] = ()
     weights: tuple[Weight, ...] = ()
     at: tuple[AtPoints, ...] = ()
@@ -276,10 +293,27 @@ class Requirements:
             refuse_not_positive(what, self.control_high_frequency_from_hz)
         if self.band_hz is not None and not _rising_pair(self.band_hz):
             raise WrongUseError("band_hz is two rising frequencies", f"{self.band_hz!r}")
+        self._check_range()
         for name, least in (("integrators", -2), ("unstable_poles", 0)):
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, int) or value < least):
                 raise WrongUseError(f"{name} of loop {self.loop!r} is a whole number from {least}", f"{value!r}")
+
+    def _check_range(self) -> None:
+        ends = self.control_range
+        if ends is not None:
+            if len(ends) != 2 or not all(is_number(x) and np.isfinite(x) for x in ends) or ends[0] >= ends[1]:
+                raise WrongUseError(
+                    f"control_range of loop {self.loop!r} is the lowest and the highest input", f"{ends!r}",
+                    "for example control_range = [-10.0, 10.0]",
+                )  # fmt: skip
+            object.__setattr__(self, "control_range", (float(ends[0]), float(ends[1])))
+        every = (self.saturation_percent, *(one.limits.get("saturation_percent") for one in self.at))
+        if ends is None and any(value is not None for value in every):
+            raise WrongUseError(
+                f"saturation_percent of loop {self.loop!r} needs the actuator's range", "none",
+                "give control_range, the lowest and the highest input",
+            )  # fmt: skip
 
     def _allow_nothing_over_masks(self) -> None:
         masked = {mask.quantity for mask in self.masks}

@@ -81,8 +81,8 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
 
     unit, factor = notation.units.get(line.unit, (line.unit, 1.0))
 
-    def figures(value: float) -> str:  # an error's unit is as large as it likes
-        tiny = line.quantity == "error_rms" and abs(value) < 1e-6
+    def figures(value: float) -> str:  # the unit of an error or an input is as large as it likes
+        tiny = limit is not None and limit.disturbed and abs(value) < 1e-6
         return f"{value:.4g}" if tiny else notation.figures(factor * value)
 
     limit, bound = LIMIT_OF.get(line.quantity), line.bound

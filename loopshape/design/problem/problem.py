@@ -26,8 +26,19 @@ from loopshape.loop.loop import Loop, above_hz
 from loopshape.loop.margin.between import between_lines
 from loopshape.loop.stability.low_end import low_hz, low_models
 
-#: frequencies in Hz and power in the output's unit squared of what disturbs a loop, with the loop open
-Opened = tuple[Array, Array]
+
+class Opened(NamedTuple):
+    """What disturbs a loop, with the loop open: frequencies (n,) in Hz and power (n,) in the output's unit squared.
+
+    `samples` is the length of its record, nan where it has none; `low` and `high` are the room of the plant's input
+    below and above its mean, in its unit.
+    """
+
+    f: Array
+    power: Array
+    samples: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,7 @@ from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, checked, compare
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops
-from loopshape.loop.margin.error_rms import refuse_several_disturbed
+from loopshape.loop.margin.disturbed import refuse_several_disturbed
 from loopshape.loop.verdict import check_loops
 
 

@@ -15,7 +15,7 @@ from scipy.stats import binom
 
 import loopshape as ls
 from loopshape.data.result.verdict_words import row_of
-from loopshape.identify.disturbance import powers
+from loopshape.data.signal.disturbance import powers
 
 RATE, N = 200.0, 8192
 NUM, DEN = np.array([0.0, 0.02]), np.poly([0.98, 0.93 * np.exp(0.5j), 0.93 * np.exp(-0.5j)]).real  # resonance, 16 Hz
@@ -202,7 +202,7 @@ def test_a_tuning_comes_up_to_the_limit_of_the_error_and_keeps_it():
 def test_the_examples_of_the_page_run():
     page = (Path(__file__).parents[3] / "docs" / "disturbances.md").read_text()
     left = {"np": np, "ls": ls}
-    exec("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.S)[-2:]), left)
+    exec("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.S)[-3:]), left)
     assert left["C"].feasible
 
 

@@ -9,10 +9,11 @@ from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, problem_of, requi
 
 import loopshape as ls
 from loopshape.data.requirement import requirements
-from loopshape.design.problem.measures import measure, opened
+from loopshape.design.problem.disturbed import opened
+from loopshape.design.problem.measures import measure
 from loopshape.design.problem.problem import problem
 from loopshape.loop.loops import loops_of
-from loopshape.loop.margin.error_rms import error_rms
+from loopshape.loop.margin.disturbed import disturbed
 
 WEIGHTS = [
     {"response": name, "points": [[1.0, a], [30.0, b], [4000.0, c]]}
@@ -75,10 +76,8 @@ def test_slopes_agree_with_finite_differences(runs):
     here = measure(p, x, {})
     assert set(here.what) >= set(LIMITS) - {"control_high_frequency_from_hz", "masks", "weights"}
     every = {limit.name for limit in requirements.LIMITS}
-    assert every - set(here.what) == {
-        "detuning_percent",
-        "error_rms",
-    }  # by shifted copies (design/shifts.py); the test below
+    disturbed_ones = {limit.name for limit in requirements.LIMITS if limit.disturbed}  # the test below
+    assert every - set(here.what) == {"detuning_percent", *disturbed_ones}  # by shifted copies (design/shifts.py)
     for k in range(x.size):
         bandwidth, rejection, room, smallness = differences(p, x, k)
         np.testing.assert_allclose(here.bandwidth_slopes[:, k], bandwidth, rtol=1e-5, atol=1e-6)
@@ -100,18 +99,26 @@ def test_slopes_of_a_norm_that_is_largest_above_the_last_line(response):
         np.testing.assert_allclose(here.smallness_slopes[:, k], smallness, rtol=1e-4, atol=2e-5)
 
 
-def test_slopes_of_the_error_s_rms_agree_and_its_value_is_that_of_the_check():
+def test_slopes_of_what_a_disturbance_makes_agree_and_their_values_are_those_of_the_check():
     f, recorded_under = np.geomspace(0.02, 3000.0, 4000), ls.Controller("one", (Block("gain", {"gain": 0.3}),), RATE)
-    still = ls.Disturbance.from_spectrum(f, (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2), recorded_under=recorded_under)
-    asked = required(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, error_rms=2.0)
+    density = (1.0 + 0.01 / f**3) / (1.0 + (f / 8.0) ** 2)
+    still = ls.Disturbance.from_spectrum(f, density, recorded_under=recorded_under, duration_s=20.0, control_mean=0.3)
+    limits = {
+        "error_rms": 2.0, "control_rms": 1.0, "control_peak": 9.0, "control_rate": 400.0, "saturation_percent": 2.0,
+    }  # fmt: skip
+    asked = required(GAIN, LEAD, LOW_PASS, modulus_margin=0.4, control_range=(-60.0, 50.0), **limits)
     loops = loops_of(servos(0.0, 800), ls.Controller("one", (Block("gain", {"gain": 1.0}),), RATE), asked)[0]
-    p = problem(loops, asked, RATE, opened=[opened(loop, still, RATE) for loop in loops])
+    p = problem(loops, asked, RATE, opened=[opened(loop, still, asked) for loop in loops])
     x = np.log([0.6, 9.0, 160.0, 2000.0, 0.7])
     here = measure(p, x, {})
-    mine = [one for one in here.rows if one.what == "error_rms"]
-    for loop, room in zip(loops, mine[0].value, strict=True):
-        read = error_rms(replace(loop, controllers=p.controller(x)), still).rms
-        assert 2.0 * np.exp(-room) == pytest.approx(read, rel=2e-3)
+    for name in limits:
+        (mine,) = [one for one in here.rows if one.what == name]
+        for loop, room in zip(loops, mine.value, strict=True):
+            read = disturbed(replace(loop, controllers=p.controller(x)), still, asked.control_range).readings
+            if name == "saturation_percent":  # the share turns into the rms that has it
+                assert (room > 0.0) == (read[name].value < limits[name])
+                continue
+            assert limits[name] * np.exp(-room) == pytest.approx(read[name].value, rel=5e-3)
     for k in range(x.size):
         *_, room, _ = differences(p, x, k)
         np.testing.assert_allclose(here.room_slopes[:, k], room, rtol=1e-4, atol=2e-5)

@@ -1,0 +1,418 @@
+"""Loop under a new controller, what disturbed it under the old one -> rms of its error, and what its actuator must do.
+
+Whatever disturbs a linear loop reaches its error through S. So the error's spectrum under C1 is that under C0 times
+|S1/S0|² = |(1 + C0 P)/(1 + C1 P)|², wherever the disturbance enters; the plant's input is C1 times that error. The
+ratio is analytic in P: an error d of P makes it wrong by d (C0 - C1)/(1 + C1 P)², from which variance and bias of the
+sum over all lines follow.
+
+Below the lowest frequency P goes on along its integrators, above the highest it falls as 1/f²; how much of the power
+lies there is told, and above, the interval reaches to what P = 0 and P = constant would give.
+
+Peaks are those of Gaussian noise with this rms over a record as long as the disturbance's: level a is crossed
+(rate of the signal)/(2 pi rms) exp(-a²/2 rms²) times a second upward (Rice 1945), and by no more samples than there
+are. What an actuator changes that saturates within `control_range` is simulated (`saturated`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from loopshape.core.errors import WrongUseError
+from loopshape.core.noise import rms_interval
+from loopshape.core.outcomes import ClosedLoop
+from loopshape.core.units import Array, ComplexArray, angular
+from loopshape.data.requirement.requirements import LIMITS, Requirements
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.margins import Interval, Margins, Reading
+from loopshape.data.signal.disturbance import Disturbance
+from loopshape.loop.loop import Loop
+from loopshape.loop.margin.saturated import LONGEST, RARE, RECORDS, Actuator, Factor, Factors, Loops, Record, factors
+from loopshape.loop.stability.continued import Continued, continued
+
+#: names of the limits that need a disturbance
+DISTURBED = tuple(limit.name for limit in LIMITS if limit.disturbed)
+#: share of the error's power outside the measured band from which on a warning is given
+OUTSIDE = 0.1
+#: share of a record at each of its ends that its transform blurs
+ENDS = 0.1
+
+
+@dataclass(frozen=True)
+class Disturbed:
+    """What a disturbance makes of a loop: readings by the names of their limits.
+
+    `outside` is the share of the error's power outside the FRF's band; `unlike` says that the recorded one is not like
+    Gaussian noise, `away` that the loop runs away as its actuator saturates.
+    """
+
+    readings: Mapping[str, Reading]
+    outside: float
+    unlike: bool = False
+    away: bool = False
+
+
+class _Power(NamedTuple):
+    """Mean square of a signal and its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def rms(self) -> Array:
+        """Its root at the estimate and at both ends, (3,)."""
+        return np.sqrt(np.array(self))
+
+    def of_size(self, values: Array) -> _Power:
+        """With the mean square of a signal, as uncertain."""
+        size = float(np.mean(values**2))
+        return _Power(*(size * x / max(self.mean, 1e-300) for x in self))
+
+
+@dataclass(frozen=True, eq=False)
+class _Carried:
+    """A disturbance on its lines (nf,), and the loop there under both controllers."""
+
+    f: Array
+    power: Array
+    scatter: Array
+    C0: ComplexArray
+    C1: ComplexArray
+    there: Continued
+    last: complex
+    band_hz: Interval
+    relative: Array
+    overlap: float
+
+    def ratio(self, P: ComplexArray | complex) -> ComplexArray:
+        """S under the new controller over S under the old one."""
+        return np.asarray((1.0 + self.C0 * P) / (1.0 + self.C1 * P))
+
+    def through(self, weight: Array) -> _Power:
+        """Mean square of the error times a filter of squared magnitude `weight` (nf,)."""
+        P, power, scatter = self.there.response, self.power * weight, self.scatter * weight**2
+        ratio = self.ratio(P)
+        toward = P * (self.C0 - self.C1) / (1.0 + self.C1 * P) ** 2  # by a relative error of P
+        kept = np.maximum(np.abs(ratio) ** 2 - np.abs(toward) ** 2 * self.there.bias(self.relative), 0.0)
+        mean = float(power @ kept)
+        each = self.there.collected(power * ratio.conj() * toward, self.relative.size)
+        variance = 2.0 * self.overlap * float(np.sum(np.abs(each) ** 2 * self.relative))
+        variance += float(scatter @ np.abs(ratio) ** 4)
+        above = self.f > self.band_hz[1]
+        flat = np.abs(self.ratio(self.last)) ** 2
+        apart = [float(power[above] @ (x - kept)[above]) for x in (np.ones(self.f.size), flat)]
+        low, high = rms_interval(mean, variance)
+        return _Power(mean, max(low**2 + min(0.0, *apart), 0.0), high**2 + max(0.0, *apart))
+
+    def outside(self) -> float:
+        """Share of the error's power outside the measured band."""
+        each = self.power * np.abs(self.ratio(self.there.response)) ** 2
+        off = (self.f > self.band_hz[1]) | (self.f < self.band_hz[0])
+        return float(each[off].sum()) / max(float(each.sum()), 1e-300)
+
+
+def _carried(loop: Loop, disturbance: Disturbance) -> _Carried:
+    held, rate_hz = disturbance.recorded_under, loop.controller.rate_hz
+    if held is not None and held.rate_hz != rate_hz:
+        raise WrongUseError(
+            f"what disturbs loop {loop.plant.loop} was recorded at another rate than the controller's",
+            f"{held.rate_hz:g} Hz and {rate_hz:g} Hz",
+            "record it with a controller of this rate",
+        )
+    rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
+    f, power, scatter = (x[rows] for x in (disturbance.frequency_hz, disturbance.power, disturbance.scatter))
+    plant = _plant(loop)
+    return _Carried(
+        f=f,
+        power=power,
+        scatter=scatter,
+        C0=_old(disturbance, f),
+        C1=loop.controller.response(f),
+        there=continued(plant, f, loop.integrators or 0),
+        last=complex(plant.siso[-1]),
+        band_hz=(float(plant.frequency_hz[0]), float(plant.frequency_hz[-1])),
+        relative=plant.variance[:, 0, 0] / np.abs(plant.siso) ** 2,
+        overlap=plant.line_overlap,
+    )
+
+
+def _plant(loop: Loop) -> FRF:
+    return loop.plant if loop.raw is None else loop.raw
+
+
+def _old(disturbance: Disturbance, f: Array) -> ComplexArray:
+    held = disturbance.recorded_under
+    return np.zeros(f.size, dtype=complex) if held is None else held.response(f)
+
+
+def _actuator(loop: Loop, disturbance: Disturbance, control_range: Interval) -> Actuator:
+    """The room about the mean under the loop's controller, which follows from the old mean by both near 0 Hz."""
+    f = np.array([1e-3 * loop.frequency_hz[0]])
+    P = continued(_plant(loop), f, loop.integrators or 0).response[0]
+    C0, C1 = _old(disturbance, f)[0], loop.controller.response(f)[0]
+    mean = disturbance.control_mean
+    if mean and C0 and C1:
+        mean *= float(np.real(C1 / C0 * (1.0 + C0 * P) / (1.0 + C1 * P)))
+    return Actuator(mean - control_range[0], control_range[1] - mean)
+
+
+def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | None = None) -> Disturbed:
+    """What a loop makes of a disturbance; the loop is taken as stable. Raises WrongUseError for another rate.
+
+    `control_range` are the actuator's ends in the input's unit. Where the loop runs away as it saturates nothing but
+    `saturation_percent` is read.
+    """
+    carried, rate_hz = _carried(loop, disturbance), loop.controller.rate_hz
+    error, control, rate, jerk = (carried.through(weight) for weight in _weights(carried, rate_hz))
+    samples = disturbance.duration_s * rate_hz
+    own = _recorded(loop, disturbance)
+    if disturbance.repeats:
+        moving = slice(0, own.error.size // 2)
+        error, control = error.of_size(own.error[moving]), control.of_size(own.control[moving])
+    peaks = (
+        _Peak.of(control, rate, samples, rate_hz, own.control, repeats=disturbance.repeats),
+        _Peak.of(rate, jerk, samples, rate_hz, np.diff(own.control) * rate_hz, repeats=disturbance.repeats),
+    )
+    unlike = any(peak.unlike for peak in peaks)
+    changed, readings = (Factors(),) * 3, dict[str, Reading]()
+    if control_range is not None:
+        actuator = _actuator(loop, disturbance, control_range)
+        pieces = [own] if disturbance.repeats else own.pieces() if unlike else None
+        records = pieces or _at_random(loop, disturbance, carried, samples)
+        changed = _changed(loop, control, actuator, records)
+        readings["saturation_percent"] = _saturation(control, actuator, changed)
+        if any(one.away for one in changed):
+            return Disturbed(readings, carried.outside(), away=True)
+    readings["error_rms"] = _rms(error, [one.error for one in changed])
+    readings["control_rms"] = _rms(control, [one.control for one in changed])
+    if samples > 0.0:
+        readings["control_peak"] = peaks[0].reading([one.peak for one in changed])
+        readings["control_rate"] = peaks[1].reading([one.rate for one in changed])
+    return Disturbed(readings, carried.outside(), unlike=unlike)
+
+
+class _Weights(NamedTuple):
+    """Squared magnitudes (nf,) from the error to itself, to the plant's input, to its rate, and to the rate of that."""
+
+    error: Array
+    control: Array
+    rate: Array
+    jerk: Array
+
+
+def _weights(carried: _Carried, rate_hz: float) -> _Weights:
+    control, faster = np.abs(carried.C1) ** 2, np.abs(change(carried.f, rate_hz)) ** 2
+    return _Weights(np.ones(control.size), control, control * faster, control * faster**2)
+
+
+def change(f: Array, rate_hz: float) -> ComplexArray:
+    """From a signal to its differences a second."""
+    return np.asarray(rate_hz * (1.0 - np.exp(-1j * angular(f) / rate_hz)))
+
+
+def _changed(
+    loop: Loop, control: _Power, actuator: Actuator, records: Sequence[Record]
+) -> tuple[Factors, Factors, Factors]:
+    """What saturation changes at the estimate and at both ends of the power of the plant's input."""
+    rms = control.rms
+    if actuator.share(rms[2]) < RARE and all(actuator.holds(one.control) for one in records):
+        return (Factors(),) * 3
+    n = max(one.control.size for one in records) // 2 * 2
+    f = _lines(n, loop.controller.rate_hz)
+    P, C1 = continued(loop.plant, f, loop.integrators or 0).response, loop.controller.response(f)
+    loops = Loops.of(*(_padded(x, n) for x in (C1 * P / (1.0 + C1 * P), P / (1.0 + C1 * P))))
+    size = max(float(np.sqrt(np.mean([np.mean(one.control**2) for one in records]))), 1e-300)
+    middle, low, high = (factors(records, loops, actuator, float(x / size)) for x in rms)
+    return middle, low, high
+
+
+def _lines(n: int, rate_hz: float) -> Array:
+    """Lines of a real transform of n samples above 0 Hz and below half the rate."""
+    f = np.fft.rfftfreq(n, 1.0 / rate_hz)[1:]
+    return np.asarray(f[f < 0.5 * rate_hz], dtype=float)
+
+
+def _padded(response: ComplexArray, n: int) -> ComplexArray:
+    """A response on the lines of n samples, with the first's real part at 0 Hz, the last's at half the rate."""
+    ends = np.real(response[:1]), np.real(response[-1:])
+    return np.concatenate([ends[0], response, ends[1][: n // 2 - response.size]])
+
+
+def _through_time(loop: Loop, C0: ComplexArray, error: ComplexArray, n: int) -> Record:
+    """Input and error of the linear loop from the error under the old controller, on the lines of n samples."""
+    f = _lines(n, loop.controller.rate_hz)
+    P, C1 = continued(_plant(loop), f, loop.integrators or 0).response, loop.controller.response(f)
+    made = error * (1.0 + C0 * P) / (1.0 + C1 * P)
+    still = [np.concatenate([[0.0], x, np.zeros(n // 2 - f.size)]) for x in (C1 * made, made)]
+    return Record(*(np.fft.irfft(x, n) for x in still))
+
+
+def _recorded(loop: Loop, disturbance: Disturbance) -> Record:
+    """The recorded disturbance under the loop's controller, without the ends of the record, which transforms join."""
+    n = disturbance.samples.size // 2 * 2
+    if not n:
+        return Record(np.zeros(0), np.zeros(0))
+    f = _lines(n, loop.controller.rate_hz)
+    error = np.fft.rfft(disturbance.samples[:n])[1 : f.size + 1]
+    made, edge = _through_time(loop, _old(disturbance, f), error, n), int(ENDS * n)
+    if disturbance.repeats:  # at rest before it and after
+        return Record(made.control - made.control[-1], made.error - made.error[-1])
+    return Record(made.control[edge : n - edge], made.error[edge : n - edge])
+
+
+def _at_random(loop: Loop, disturbance: Disturbance, carried: _Carried, samples: float) -> list[Record]:
+    """Records of the linear loop with the disturbance's spectrum and phases at random, the same each time."""
+    n = int(min(samples, LONGEST) if samples > 0.0 else LONGEST) // 2 * 2
+    f, rng = _lines(n, loop.controller.rate_hz), np.random.default_rng(0)
+    edges = np.concatenate([[0.0], 0.5 * (f[1:] + f[:-1]), [0.5 * loop.controller.rate_hz]])
+    power = np.diff(np.interp(edges, np.append(0.0, carried.f), np.append(0.0, np.cumsum(carried.power))))
+    phases = np.exp(2j * np.pi * rng.random((RECORDS, f.size)))
+    return [_through_time(loop, _old(disturbance, f), n * np.sqrt(0.5 * power) * one, n) for one in phases]
+
+
+def _rms(power: _Power, factors: Sequence[Factor]) -> Reading:
+    """A rms and its interval, with what saturation makes of it at the estimate and at both ends."""
+    value, low, high = power.rms * [factors[0].value, factors[1].low, factors[2].high]
+    return Reading(float(value), (float(low), float(high)))
+
+
+def crossings_a_sample(mean: float, rate_mean: float, rate_hz: float) -> float:
+    """Upward crossings of the mean a sample, of Gaussian noise with this power and this power of its rate."""
+    if mean <= 0.0:
+        return 0.0
+    return float(np.arccos(np.clip(1.0 - 0.5 * rate_mean / (rate_hz**2 * mean), -1.0, 1.0))) / (2.0 * np.pi)
+
+
+def largest(crossings: float, samples: float, level: float) -> float:
+    """The largest |value| over the rms that Gaussian noise stays below with this probability, in a record of samples.
+
+    `crossings` are the record's upward crossings of the mean.
+    """
+    rare = -np.log(level)
+    by_crossings = np.sqrt(2.0 * np.log(max(2.0 * crossings / rare, 1.0)))
+    return float(min(by_crossings, ndtri(0.5 * (1.0 + level ** (1.0 / max(samples, 1.0))))))
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """The largest |value| of a signal in a record as long as the disturbance's.
+
+    `levels` (5,) are its quantiles over the rms at 0.1, 2.5, 50, 97.5 and 99.9 % for Gaussian noise; `own` is the
+    largest value of the recorded disturbance, 0 without one.
+    """
+
+    power: _Power
+    levels: Array
+    own: float
+
+    @classmethod
+    def of(cls, power: _Power, faster: _Power, samples: float, rate_hz: float, own: Array, *, repeats: bool) -> _Peak:
+        """From the power of a signal and of its rate; what repeats has the peak of the signal itself."""
+        if repeats:
+            return cls(power, np.full(5, float(np.abs(own).max()) / max(float(power.rms[0]), 1e-300)), 0.0)
+        crossings = samples * crossings_a_sample(power.mean, faster.mean, rate_hz)
+        chances = (0.001, 0.025, 0.5, 0.975, 0.999) if samples > 0.0 else ()
+        levels = [largest(crossings, samples, x) for x in chances]
+        return cls(power, np.maximum(levels, 1e-9), float(np.abs(own).max(initial=0.0)))
+
+    @property
+    def unlike(self) -> bool:
+        """Whether the recorded signal is none of Gaussian noise."""
+        rms = float(self.power.rms[0])
+        return self.levels.size > 0 and self.own > 0.0 and not self.levels[0] * rms <= self.own <= self.levels[4] * rms
+
+    def reading(self, factors: Sequence[Factor]) -> Reading:
+        """The interval is that of another record's peak: the chance of the peak, and the error of the rms.
+
+        A record that is unlike Gaussian noise (tones, shocks) has its own peak, with the same shares about it.
+        """
+        rms, (_, less, middle, more, _) = self.power.rms, self.levels
+        if rms[0] <= 0.0:
+            return Reading(0.0, (0.0, 0.0))
+        value = self.own if self.unlike else float(rms[0] * middle)
+        below, above = np.log(rms[0] / max(rms[1], 1e-9 * rms[0])), np.log(rms[2] / rms[0])
+        low = value * factors[1].low * float(np.exp(-np.hypot(np.log(middle / less), below)))
+        high = value * factors[2].high * float(np.exp(np.hypot(np.log(more / middle), above)))
+        return Reading(value * factors[0].value, (low, high))
+
+
+def _saturation(control: _Power, actuator: Actuator, changed: Sequence[Factors]) -> Reading:
+    """Share of the time at which the plant's input lies outside its range, in percent."""
+    by_noise = [Factor(*[actuator.share(std)] * 3) for std in control.rms]
+    shares = [one.share or noise for one, noise in zip(changed, by_noise, strict=True)]
+    value, low, high = shares[0].value, min(one.low for one in shares[:2]), max(one.high for one in shares)
+    return Reading(100.0 * value, (100.0 * low, 100.0 * min(high, 1.0)))
+
+
+def of_loop(loop: Loop, margins: Margins, disturbance: Disturbance, required: Requirements) -> Disturbed:
+    """What a disturbance makes of error and input of a loop with these margins; inf where it is unstable."""
+    if margins.stable is ClosedLoop.UNSTABLE:
+        return Disturbed(dict.fromkeys(DISTURBED, Reading(float("inf"))), 0.0)
+    return disturbed(loop, disturbance, required.control_range)
+
+
+def refuse_several_disturbed(names: Sequence[str], disturbances: object) -> None:
+    """Refuse what disturbs one loop where several loops are closed anew."""
+    if len(names) > 1 and disturbances:
+        raise WrongUseError(
+            "the error of several loops follows from what disturbs all of them, which a recording of one does not tell",
+            f"loops {', '.join(names)} and a disturbance", "take one loop alone",
+        )  # fmt: skip
+
+
+def of_points(loops: Mapping[str, Loop], disturbances: Sequence[Disturbance]) -> dict[str, Disturbance]:
+    """The disturbance of each operating point by its name: that recorded there; one alone serves all."""
+    if len(disturbances) == 1:
+        return dict.fromkeys(loops, disturbances[0])
+    known = {tuple(sorted(one.operating_point.items())): one for one in disturbances}
+    points = {name: tuple(sorted(loop.plant.operating_point.items())) for name, loop in loops.items()}
+    return {name: known[point] for name, point in points.items() if point in known}
+
+
+def disturbance_warnings(
+    loops: Mapping[str, Loop], found: Mapping[str, Disturbed], requirements: Requirements
+) -> tuple[str, ...]:
+    """Sentences on limits whose disturbance is not known, or is unlike noise, or lies outside the measured band."""
+    out = []
+    for name, loop in loops.items():
+        required = requirements.of(loop.plant.operating_point)
+        asked = [x for x in DISTURBED if getattr(required, x) is not None]
+        if name not in found:
+            if asked:
+                out.append(
+                    f"{', '.join(asked)} at {name} cannot be decided: what disturbs the loop there is not known; give"
+                    " a run (--disturbance RUN)"
+                )
+            continue
+        out += _of_one(found[name], name, loop, asked)
+    return tuple(out)
+
+
+def _of_one(found: Disturbed, name: str, loop: Loop, asked: Sequence[str]) -> Iterator[str]:
+    if found.away:
+        yield (
+            f"the loop at {name} runs away in simulation where its actuator saturates, or nearly so, though it is"
+            " stable without: neither error nor input are predicted; give the actuator more range, or the controller"
+            " less gain"
+        )
+    elif asked and (unread := [x for x in asked if x not in found.readings]):
+        yield (
+            f"{', '.join(unread)} at {name} cannot be decided: a peak belongs to a record of some length; give a"
+            " recording, or duration_s with the spectrum"
+        )
+    if found.unlike:
+        yield (
+            f"what disturbs the loop at {name} is unlike Gaussian noise (tones or shocks): peaks are those of the"
+            " recording itself; a longer one shows more of them"
+        )
+    if found.outside > OUTSIDE:
+        low, high = loop.frequency_hz[0], loop.frequency_hz[-1]
+        yield (
+            f"{100.0 * found.outside:.0f} % of the power of the error at {name} lies outside the measured band,"
+            f" {low:.3g} to {high:.3g} Hz, where the plant is continued"
+        )
