@@ -71,12 +71,13 @@ class Machine:
         self.b = b.ravel()
         self.pole, self.sensor = rng.uniform(0.9, 0.999), 0.0
 
-    def response(self, f_hz):
+    def response(self, f_hz: np.ndarray) -> np.ndarray:
+        """Of the motion to the input, at frequencies in Hz."""
         z = np.exp(2j * np.pi * f_hz / RATE)
         return np.polyval(self.b, z) / np.polyval(self.a, z)
 
     def controller(self, crossover_hz: float, lead: float):
-        """A PI, a lead about its crossover and a low-pass; and its discrete polynomials by Tustin's rule, from scipy."""
+        """A PI, a lead about its crossover and a low-pass; and its polynomials by Tustin's rule, from scipy."""
         w, size = 2 * np.pi * crossover_hz, abs(self.response(np.array([crossover_hz]))[0])
         gain = 1.0 / (size * lead)
         C = ls.controller(
@@ -94,6 +95,7 @@ class Machine:
         return bool(np.abs(np.roots(poles)).max() < 0.999)
 
     def run(self, laws, rng, samples: int, ends):
+        """Error and input of the loop with its actuator's ends, from standing still on."""
         n = samples + WARM
         disturbance = lfilter([np.sqrt(1.0 - self.pole**2)], [1.0, -self.pole], rng.standard_normal(n))
         signals = simulate(self.b, self.a, *laws, *ends, disturbance, self.sensor * rng.standard_normal(n))
@@ -127,6 +129,7 @@ def still(machine, C, law, rng, ends):
 
 
 def measured(machine, rng, relative: float):
+    """An FRF with relative errors."""
     f = np.geomspace(0.2, 450.0, 300)
     noise = (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size)) / np.sqrt(2.0)
     P = machine.response(f) * (1.0 + relative * noise)
@@ -147,6 +150,7 @@ def truths(machine, law, rng, ends) -> dict[str, float]:
 
 
 def one(seed: int):
+    """What the loop does, and what the check reads."""
     rng = np.random.default_rng([2026, seed])
     machine, (C0, C1), laws, ends = draw(rng)
     P, run = measured(machine, rng, 10.0 ** rng.uniform(-2.5, -1.0)), still(machine, C0, laws[0], rng, ends)
@@ -156,6 +160,7 @@ def one(seed: int):
 
 
 def main(draws: int) -> None:
+    """Draw, and write the table."""
     every = [one(seed) for seed in range(draws)]
     rows = [row(name, label, every) for name in LIMITS for label in CLASSES]
     with (HERE / "results.csv").open("w", newline="") as file:
@@ -166,6 +171,7 @@ def main(draws: int) -> None:
 
 
 def row(name: str, label: str, every) -> tuple:
+    """How often a quantity's interval covers, by how much the loops saturate."""
     low, high = CLASSES[label]
     mine = [(truth[name], read[name]) for truth, read in every if low < truth["saturation_percent"] <= high]
     pairs = [(truth, reading.interval) for truth, reading in mine if reading.interval is not None]
