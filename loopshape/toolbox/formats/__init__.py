@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
+    from loopshape.toolbox.formats.controllers.limited import OutputLimits as OutputLimits
     from loopshape.toolbox.formats.verbs import export as export
     from loopshape.toolbox.formats.verbs import read_frf as read_frf
     from loopshape.toolbox.formats.verbs import read_table as read_table
+    from loopshape.toolbox.formats.verbs import simulate as simulate
 
 TOOLBOX = Toolbox(
     "formats",
@@ -62,9 +64,11 @@ TOOLBOX = Toolbox(
         ),
     ),
     names={
+        "OutputLimits": "loopshape.toolbox.formats.controllers.limited",
         "export": "loopshape.toolbox.formats.verbs",
         "read_frf": "loopshape.toolbox.formats.verbs",
         "read_table": "loopshape.toolbox.formats.verbs",
+        "simulate": "loopshape.toolbox.formats.verbs",
     },
     writers={"FRF": "loopshape.toolbox.formats.frf.frf_exchange:write_frf_file"},
 )

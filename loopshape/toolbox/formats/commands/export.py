@@ -13,7 +13,9 @@ from loopshape.toolbox.rig.commands.measure import StudyFile
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.control.gain_scheduled import GainScheduled
+    from loopshape.toolbox.formats.controllers.limited import OutputLimits
 
+BACK = "back_calculation"
 TO_CONTROLLER = "json, matlab, simulink, c, st, twincat, foton, sos, px4, ardupilot, betaflight, odrive or sercos."
 
 
@@ -51,6 +53,10 @@ def export_controller(
     out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
     diagram: DiagramFile = None,
     run: Annotated[Path | None, typer.Option(help="With --diagram: the run that holds the FRFs of its plants.")] = None,
+    limits: Annotated[
+        str | None, typer.Option(help="Output limits LOW:HIGH, or LOW:HIGH:RATE a second (c, st, twincat, json).")
+    ] = None,
+    anti_windup: Annotated[str, typer.Option(help="With --limits: back_calculation or conditional.")] = BACK,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -62,7 +68,7 @@ def export_controller(
     from loopshape.data.control.controller import Controller
 
     output = Output(as_json, quiet)
-    written, whole = _written(controller, to, out, diagram, run)
+    written, whole = _written(controller, to, out, diagram, run, limits, anti_windup)
     found = list(written)
     controllers = [one for one in found if isinstance(one, Controller)]
     paths = [written[one] for one in controllers]
@@ -91,7 +97,7 @@ def export_controller(
 
 
 def _written(
-    controller: Path, to: str, out: Path, diagram: Path | None, run: Path | None
+    controller: Path, to: str, out: Path, diagram: Path | None, run: Path | None, limits: str | None, anti_windup: str
 ) -> tuple[dict[Controller | GainScheduled, Path], Path | None]:
     """Each controller's file, and that of the diagram that leads from one to the other."""
     from loopshape.core.errors import WrongUseError
@@ -105,11 +111,28 @@ def _written(
         raise WrongUseError("a diagram is exported with the run that holds its plants", "one of them", "give both")
     if diagram is None or run is None:
         found = read_loop_controllers(controller)
-        return dict(zip(found, export_controllers(out, found, to), strict=True)), None
+        return dict(zip(found, export_controllers(out, found, to, _limits(limits, anti_windup)), strict=True)), None
+    if limits is not None:
+        raise WrongUseError("the limits of a diagram's outputs belong to its caller", limits, "leave --limits out")
     D = read_diagram(diagram, run)
     D = D.with_part(D.tuned, controller_of(read_controllers(controller), D.tuned))
     *files, whole = export_diagram(out, D, to)
     return dict(zip(controllers_of(D), files, strict=True)), whole
+
+
+def _limits(text: str | None, anti_windup: str) -> OutputLimits | None:
+    """Limits of an output from LOW:HIGH or LOW:HIGH:RATE."""
+    from loopshape.core.errors import WrongUseError, refuse_unknown
+    from loopshape.toolbox.formats.controllers.limited import AntiWindup, OutputLimits
+
+    refuse_unknown("anti-windup of a controller is not known", anti_windup, list(AntiWindup))
+    if text is None:
+        return None
+    try:
+        low, high, rate = (float(part) for part in f"{text}:inf".split(":")[:3])
+    except ValueError:
+        raise WrongUseError("limits are LOW:HIGH or LOW:HIGH:RATE", text, "for example --limits=-10:10:200") from None
+    return OutputLimits(low, high, rate, AntiWindup(anti_windup))
 
 
 def export_excitation(

@@ -6,11 +6,14 @@ evaluates in the type of the operands (FLT_EVAL_METHOD 0) and does not contract 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from loopshape.core.kernels.biquads import error_feedback
 from loopshape.data.control.controller import Controller
 from loopshape.toolbox.formats.controllers.controller_words import about, block_words, identifier
+from loopshape.toolbox.formats.controllers.limited import AntiWindup, LimitedLaw
 
 _FLOATING = """
 typedef struct {{
@@ -41,6 +44,89 @@ static inline {kind} {name}_step({name}_state *state, {kind} value)
     }}
     return value;
 }}
+"""
+
+_LIMITED = """
+typedef struct {{
+    {kind} s[{n}][2];
+    {kind} last;
+}} {name}_state;
+
+/* To rest: the state of all sections becomes zero, and the last output. */
+static inline void {name}_reset({name}_state *state)
+{{
+    int k;
+    for (k = 0; k < {n}; k++) {{
+        state->s[k][0] = {zero};
+        state->s[k][1] = {zero};
+    }}
+    state->last = {zero};
+}}
+
+/* Takes over at an output without a bump: filters at rest at this error, the integrator at the output. */
+static inline void {name}_start({name}_state *state, {kind} value, {kind} output)
+{{
+    int k;
+    for (k = 0; k < {n}; k++) {{
+        const {kind} *c = {name}_coefficients[k];
+        {kind} *s = state->s[k];
+        {kind} out = output;
+        if (k < {first}) {{
+            out = ((c[0] + c[1]) + c[2]) / (({one} + c[3]) + c[4]) * value;
+        }} else if (k < {n} - 1) {{
+            out = {zero};
+        }}
+        s[1] = c[2] * value - c[4] * out;
+        s[0] = out - c[0] * value;
+        value = out;
+    }}
+    state->last = output;
+}}
+
+/* One sample: the error in, the limited control out. */
+static inline {kind} {name}_step({name}_state *state, {kind} value)
+{{
+    {kind} low = {low}, high = {high};
+    {kind} driven, given, in[{n} + 1];
+    int k;
+{rate}    for (k = 0; k < {first}; k++) {{
+        const {kind} *c = {name}_coefficients[k];
+        {kind} *s = state->s[k];
+        const {kind} out = c[0] * value + s[0];
+        s[0] = (c[1] * value - c[3] * out) + s[1];
+        s[1] = c[2] * value - c[4] * out;
+        value = out;
+    }}
+    driven = {sign}value;
+    in[{first}] = value;
+    for (k = {first}; k < {n}; k++) {{
+        value = {name}_coefficients[k][0] * value + state->s[k][0];
+        in[k + 1] = value;
+    }}
+    given = value > high ? high : value < low ? low : value;
+{anti_windup}    state->last = given;
+    return given;
+}}
+"""
+_RATE = """    if (state->last - {step} > low) {{
+        low = state->last - {step};
+    }}
+    if (state->last + {step} < high) {{
+        high = state->last + {step};
+    }}
+"""
+_INTEGRATE = """{indent}for (k = {first}; k < {n}; k++) {{
+{indent}    const {kind} *c = {name}_coefficients[k];
+{indent}    {kind} *s = state->s[k];
+{indent}    s[0] = (c[1] * in[k] - c[3] * in[k + 1]) + s[1];
+{indent}    s[1] = c[2] * in[k] - c[4] * in[k + 1];
+{indent}}}
+"""
+_BACK = """    (void)driven;
+    in[{n}] = value + {share} * (given - value);
+"""
+_CONDITIONAL = """    if (!((value - given) * driven > {zero})) {{
+{integrate}    }}
 """
 
 _FIXED = """
@@ -103,6 +189,11 @@ _SAID_FLOATING = (
     "(-ffp-contract=off) and not evaluated in a wider type (FLT_EVAL_METHOD 0).",
     "The output has no limit and there is no anti-windup: both belong to the caller.",
 )
+_SAID_LIMITED = (
+    *_SAID_FLOATING[:2],
+    "The output stays from {low} to {high}, and changes by {rate} a second at most; anti-windup: {anti_windup}.",
+    "The margins that were checked are those of the loop whose output is not limited.",
+)
 _SAID_FIXED = (
     "A coefficient is an integer times 2^-{N}. Signals are whole numbers in a unit of your choice, the same for input",
     "and output; states have that unit times 2^-{N}. Input and section outputs are clipped to +-{limit}, so that",
@@ -112,18 +203,21 @@ _SAID_FIXED = (
 )
 
 
-def c_text(controller: Controller) -> str:
-    """The header of a controller."""
+def c_text(controller: Controller, law: LimitedLaw | None = None) -> str:
+    """The header of a controller, with its limits."""
     form, name = controller.number_format, identifier(controller.loop)
     fixed = {"N": form.fraction_bits, "limit": form.signal_limit}
     notes = [line.format(**fixed) for line in _SAID_FIXED] if form.fixed else [*_SAID_FLOATING]
+    if law is not None:
+        stated = {field: getattr(law.limits, field) for field in ("low", "high", "rate", "anti_windup")}
+        notes = [line.format(**stated) for line in _SAID_LIMITED]
     head = "\n".join(f" * {line}".rstrip() for line in [*about(controller), "", *notes])
     words = {"name": name, "UPPER": name.upper(), "n": len(controller.blocks), "kind": _kind(controller)}
     words |= {"zero": "0.0f" if form.name == "single" else "0.0", "feedback": _feedback(controller)}
-    body = (_FIXED if form.fixed else _FLOATING).format(**words)
+    body = (_FIXED if form.fixed else _FLOATING).format(**words) if law is None else _limited(law, words)
     return (
         f"/*\n{head}\n */\n#ifndef {name.upper()}_H\n#define {name.upper()}_H\n\n"
-        f"{_macros(controller)}\n{_coefficients(controller)}{body}\n#endif\n"
+        f"{_macros(controller)}\n{_coefficients(controller, law)}{body}\n#endif\n"
     )
 
 
@@ -149,15 +243,37 @@ def _macros(controller: Controller) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _coefficients(controller: Controller) -> str:
+def _limited(law: LimitedLaw, words: dict[str, Any]) -> str:
+    """State, reset, start and step of a controller whose output is limited."""
+    single = law.controller.number_format.name == "single"
+    limits = law.limits
+    words |= {
+        "first": len(law.order) - law.integrating,
+        "one": "1.0f" if single else "1.0",
+        "sign": "-" if law.turned else "",
+    }
+    words |= {name: _floating(getattr(limits, name), single) for name in ("low", "high")}
+    words |= {"share": _floating(law.share, single), "step": _floating(law.step, single)}
+    words["rate"] = _RATE.format(**words) if np.isfinite(limits.rate) else ""
+    back = limits.anti_windup is AntiWindup.BACK_CALCULATION
+    integrate = _INTEGRATE.format(indent=" " * (4 if back else 8), **words)
+    words["anti_windup"] = (
+        _BACK.format(**words) + integrate if back else _CONDITIONAL.format(integrate=integrate, **words)
+    )
+    return _LIMITED.format(**words)
+
+
+def _coefficients(controller: Controller, law: LimitedLaw | None) -> str:
     """The table of coefficients, each row followed by the block that it comes from."""
-    form, sections = controller.number_format, controller.biquads()
+    order = range(len(controller.blocks)) if law is None else law.order
+    form, sections = controller.number_format, controller.biquads()[list(order)]
     if form.fixed:
         rows = [[_integer(v) for v in row] for row in form.integers(sections)]
     else:
         rows = [[_floating(v, form.name == "single") for v in row] for row in sections.tolist()]
     lines = [
-        f"    /* {block_words(b)} */\n    {{ {', '.join(r)} }}" for b, r in zip(controller.blocks, rows, strict=True)
+        f"    /* {block_words(b)} */\n    {{ {', '.join(r)} }}"
+        for b, r in zip((controller.blocks[k] for k in order), rows, strict=True)
     ]
     name = identifier(controller.loop)
     return (

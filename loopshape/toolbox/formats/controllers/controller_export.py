@@ -17,6 +17,7 @@ Every file carries the controller's digest, rate, precision, prewarping and dela
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -37,13 +38,18 @@ from loopshape.toolbox.formats.controllers.controller_st import st_text, twincat
 from loopshape.toolbox.formats.controllers.controller_words import FORM, identifier
 from loopshape.toolbox.formats.controllers.drives import drive_text
 from loopshape.toolbox.formats.controllers.firmware import parameters_text
+from loopshape.toolbox.formats.controllers.limited import LimitedLaw, OutputLimits, limited
 from loopshape.toolbox.schedules.export import schedule_file
 
 FORMAT = "loopshape-biquads/1"
 
 
-def export_controllers(folder: Path, controllers: Sequence[Controller | GainScheduled], to: str) -> tuple[Path, ...]:
+def export_controllers(
+    folder: Path, controllers: Sequence[Controller | GainScheduled], to: str, limits: OutputLimits | None = None
+) -> tuple[Path, ...]:
     """Write each controller or schedule to `folder` in a format of `WRITERS`; returns the files, in order.
+
+    With `limits` their outputs are limited, in the formats of `LIMITED`.
 
     Nothing is written before all are made. Refuses an unknown format, no controller, two loops whose names become one
     (upper and lower case count as one, as on some disks), and sections that are unstable as they will run.
@@ -51,7 +57,12 @@ def export_controllers(folder: Path, controllers: Sequence[Controller | GainSche
     refuse_unknown("a format for controllers is not known", to, WRITERS)
     if not controllers:
         raise WrongUseError("there is no controller to export", "an empty list")
-    made = [schedule_file(one, to) if isinstance(one, GainScheduled) else _file(one, to) for one in controllers]
+    if limits is not None and (to not in LIMITED or any(isinstance(one, GainScheduled) for one in controllers)):
+        raise WrongUseError(
+            "limits of the output leave with single controllers in some formats alone", to,
+            f"use {', '.join(LIMITED)}, or limit where the controller runs",
+        )  # fmt: skip
+    made = [schedule_file(one, to) if isinstance(one, GainScheduled) else _file(one, to, limits) for one in controllers]
     names = [name for name, _ in made]
     for k, name in enumerate(names):
         if name.casefold() in (other.casefold() for other in names[:k]):
@@ -67,12 +78,18 @@ def export_controllers(folder: Path, controllers: Sequence[Controller | GainSche
     return tuple(folder / name for name in names)
 
 
-def _file(one: Controller, to: str) -> tuple[str, str | bytes | dict[str, Any]]:
+def _file(one: Controller, to: str, limits: OutputLimits | None) -> tuple[str, str | bytes | dict[str, Any]]:
     """Name and content of a controller's file; refuses sections that are unstable as they will run."""
     ending, write = WRITERS[to]
     name = f"{identifier(one.loop)}{ending}"
     one.check_sections()
-    return name, write(one)
+    return name, write(one) if limits is None else LIMITED[to](one, limited(one, limits))
+
+
+def _limited_table(controller: Controller, law: LimitedLaw) -> dict[str, Any]:
+    """The JSON object with the limits, and the order in which the sections run with them."""
+    stated = {**asdict(law.limits), "rate": law.limits.rate if np.isfinite(law.limits.rate) else None}
+    return biquads_table(controller) | {"limits": stated | {"order": list(law.order), "integrating": law.integrating}}
 
 
 def biquads_table(controller: Controller) -> dict[str, Any]:
@@ -142,4 +159,11 @@ WRITERS: dict[str, tuple[str, Callable[[Controller], str | bytes | dict[str, Any
     "px4": (".params", partial(parameters_text, firmware="px4")),
     "ardupilot": (".param", partial(parameters_text, firmware="ardupilot")),
     "betaflight": (".cli", partial(parameters_text, firmware="betaflight")),
+}
+#: formats in which an output can be limited
+LIMITED: dict[str, Callable[[Controller, LimitedLaw], str | dict[str, Any]]] = {
+    "json": _limited_table,
+    "c": c_text,
+    "st": st_text,
+    "twincat": twincat_text,
 }
