@@ -100,7 +100,7 @@ class Disturbance:
         control: ArrayLike | None = None, loop: str = "", recording: str = "",
         operating_point: Mapping[str, float] | None = None,
     ) -> Disturbance:  # fmt: skip
-        """The error (n,) of a loop that nothing excites, about its mean, at a rate in Hz.
+        """The error (n,) of a loop without excitation, about its mean, at a rate in Hz.
 
         `control` (n,) is the plant's input: its mean is where an actuator works. Without `recorded_under` the error is
         the output of the open loop. Refuses fewer than 512 samples.
