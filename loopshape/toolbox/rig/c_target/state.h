@@ -21,6 +21,9 @@ typedef float number;
 
 #define LIMITED (TARGET_SENSORS + TARGET_COMMANDS)
 #define WIDTH (3 * TARGET_LOOPS + LIMITED) /* numbers a tick, at most */
+#if TARGET_SAMPLE_BYTES > 1000 || TARGET_SAMPLE_BYTES < 9 + (3 * TARGET_LOOPS + TARGET_SENSORS + TARGET_COMMANDS) * TARGET_NUMBER_BYTES
+#error "TARGET_SAMPLE_BYTES holds a tick, and no more than a frame"
+#endif
 #define RATE_TICKS 10u                     /* a rate is averaged over so many */
 #define AGAIN_MOST 8u                      /* ranges that wait to be sent again */
 #define VARIABLES 3u                       /* of a schedule, at most */

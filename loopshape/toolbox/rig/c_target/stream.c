@@ -21,11 +21,17 @@ int send_body(uint8_t *body, size_t count)
     return 1;
 }
 
+/* Ticks that a frame of samples holds. */
+static uint32_t ticks_a_frame(void)
+{
+    return (TARGET_SAMPLE_BYTES - 9) / (target.run.width * (uint32_t)TARGET_NUMBER_BYTES);
+}
+
 /* Samples from tick `first` on, as many of `most` as a frame holds; gives how many went. */
 static uint32_t send_samples(uint32_t first, uint32_t most)
 {
     const struct recording *run = &target.run;
-    const uint32_t fit = (FRAME_PAYLOAD - 9) / (run->width * (uint32_t)TARGET_NUMBER_BYTES);
+    const uint32_t fit = ticks_a_frame();
     const uint8_t count = (uint8_t)(most < fit ? most : fit < 255 ? fit : 255);
     struct writer out = body_of(target.body, 0x90, target.frames_sent);
 
@@ -69,8 +75,7 @@ static int send_fresh(void)
         run->sent = run->tick - TARGET_TICKS;
         waiting = TARGET_TICKS;
     }
-    const uint32_t fit = (FRAME_PAYLOAD - 9) / (run->width * (uint32_t)TARGET_NUMBER_BYTES);
-    if (run->going && waiting < fit && target.now_ms - target.samples_ms < PARTIAL_MS && !target_waits())
+    if (run->going && waiting < ticks_a_frame() && target.now_ms - target.samples_ms < PARTIAL_MS && !target_waits())
         return 0;
     const uint32_t sent = send_samples(run->sent, waiting);
     run->sent += sent;

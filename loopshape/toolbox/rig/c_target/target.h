@@ -41,6 +41,9 @@ struct frame_decoder;
 #ifndef TARGET_BYTES
 #define TARGET_BYTES 256 /* bytes served between two looks at the timer */
 #endif
+#ifndef TARGET_SAMPLE_BYTES
+#define TARGET_SAMPLE_BYTES 1000 /* payload of a frame of samples, at most: while one is made no tick begins */
+#endif
 #define TARGET_VERSION "1.3"
 
 /* At power-up: idle, the machine safe, nothing configured. */

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.signal
 from commands import invoked
 from cortex_m_cases import board, needs_the_board, session
 
@@ -110,6 +111,14 @@ def exact(frequency_hz, rate_hz):
     return np.array([np.linalg.solve(one * np.eye(4) - step[:4, :4], step[:4, 4])[0] for one in z])
 
 
+def off_from_the_study(recording):
+    """Largest difference of z from the study's controller, 20 (s + a)/(s + 10 a) by Tustin, over the largest z."""
+    a, k = 2.0 * np.pi * 3.0, 2.0 * 2000.0
+    b, pole = 2.0 * np.array([k + a, a - k]) / a, np.array([k + 10.0 * a, 10.0 * a - k]) / (10.0 * a)
+    r, n, y, z = (recording.column(name) for name in ("r_axis_rad", "n_axis_rad", "theta_m_rad", "z_axis_a"))
+    return np.abs(scipy.signal.lfilter(b, pole, r + n - y) - z).max() / np.abs(z).max()
+
+
 @pytest.mark.long
 @pytest.mark.timeout(900)
 def test_measure_frf_tune_and_check_on_it(tmp_path, monkeypatch):
@@ -124,7 +133,9 @@ def test_measure_frf_tune_and_check_on_it(tmp_path, monkeypatch):
         said = invoked(["measure", "axis.toml", "--port", port, "--out", "out", "--arm"])
         assert said.exit_code == 0, said.output
     assert invoked(["frf", "out"]).exit_code == 0
-    P = ls.frf(ls.read("out"))
+    run = ls.read("out")
+    assert off_from_the_study(run.recordings[0]) < 1e-5  # numbers of 4 bytes on the line
+    P = ls.frf(run)
     truth = exact(P.frequency_hz, 2000.0)
     off = np.abs(np.squeeze(P.response) / truth - 1.0)
     print(f"off by {np.median(off):.2e} in the median, {off.max():.2e} at most")

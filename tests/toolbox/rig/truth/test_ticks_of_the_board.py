@@ -1,6 +1,7 @@
 """Instructions of a tick on the Cortex-M4F, counted by the emulator: the page's table says them, and what fits."""
 
 import re
+import struct
 import time
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from cortex_m_cases import BY_INSTRUCTIONS_ALONE, armed, board, configuration, s
 
 from loopshape.toolbox.rig.cortex_m import NS_OF_AN_INSTRUCTION
 from loopshape.toolbox.rig.target.blocks import Block
-from loopshape.toolbox.rig.target.messages import Reason, State
+from loopshape.toolbox.rig.target.messages import Reason, Request, Response, State, rows, start_payload
 from loopshape.toolbox.rig.target.scheduling import Scheduling
 
 PAGE = (Path(__file__).parents[4] / "docs" / "board.md").read_text()
@@ -63,6 +64,26 @@ def test_a_tick_takes_what_the_page_says(case):
         assert found.latest < 168 * 150
     else:
         assert (status.state, status.fault) == (State.FAULT, Reason.MACHINE)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("frames_come", "late_ms"), [(False, 0.03), (True, 0.3)])
+def test_a_tick_begins_no_later_than_the_page_says(frames_come, late_ms):
+    """At 5 kHz, two loops of 8 sections: while samples are sent, and while full frames from the host are handled."""
+    with board(*BY_INSTRUCTIONS_ALONE, rate_hz=5000.0) as (port, monitor), session(port) as one:
+        armed(one, configuration(*CASES["2 loops of 8"], watchdog_ms=60_000))
+        one.ask(Request.BEGIN, start_payload(1, 2000, 0, 2 if frames_come else 0, 0, False))
+        for first in range(0, 960 if frames_come else 0, 240):
+            one.ask(Request.ROWS, rows(1, first, np.zeros((240, 1)), "<f4"))
+        ends = []
+        one.unasked = lambda frame: frame.type == Response.ENDED and ends.append(one.ended(frame))
+        one.ask(Request.GO, struct.pack("<I", 1))
+        while not ends:
+            one.listen(0.1)
+        found = monitor.watched()
+    assert ends[0].ticks == (960 if frames_come else 2000)
+    print(f"a tick begins up to {found.latest / 168e3:.3f} ms late")
+    assert found.latest / 168e3 <= late_ms
 
 
 def test_the_worst_case_of_sections_fits_where_the_page_says():

@@ -114,7 +114,7 @@ void usart2_handler(void)
 
     for (uint32_t status; (status = USART2_SR) & (full | overrun);) {
         const uint8_t byte = (uint8_t)USART2_DR; /* which ends an overrun too */
-        unforeseen = mixed(unforeseen, (uint64_t)SYST_CVR << 8 | byte);
+        unforeseen = (unforeseen ^ SYST_CVR) * UINT64_C(0x9e3779b97f4a7c15) + byte;
         if (status & full && received_in - received_out < RECEIVED) /* a byte that is lost shows in its frame's CRC */
             received[received_in++ % RECEIVED] = byte;
     }
