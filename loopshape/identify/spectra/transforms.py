@@ -226,6 +226,10 @@ def window_of(settings: Settings, length: int) -> Array:
     return np.asarray(get_window(settings.window, length, fftbins=not settings.symmetric), dtype=float)
 
 
+#: of a record that a default resolution cuts into tenths, which need four samples each
+LEAST_SAMPLES = 40
+
+
 def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
     """Length, step and number of segments; refuses a record with fewer than three averages."""
     rate = recording.rate_hz
@@ -239,6 +243,12 @@ def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, 
     window = window_of(settings, length)
     averages = segments * independent_share(max(segments, 1), length, step, window) if length > 3 else 0.0
     if averages < 3.0:
+        if settings.resolution_hz is None and settings.segment_samples is None:
+            raise BadSignalError(
+                f"recording {recording.info.file} is too short for an FRF", f"{n} samples in {n / rate:g} s",
+                f"record {LEAST_SAMPLES} samples ({LEAST_SAMPLES / rate:.3g} s) at the least; for frequencies 1 Hz"
+                " apart 5 s",
+            )  # fmt: skip
         raise BadSignalError(
             f"recording {recording.info.file} is too short for a resolution of {rate / max(length, 1):.3g} Hz",
             f"{n / rate:g} s, which gives {averages:.1f} averages and three are needed",

@@ -165,7 +165,11 @@ def _noise_of_fits(recording: Recording, s: LoopSignals[Array], frf: FRF) -> tup
     R = np.fft.rfft(s.instrument - s.instrument.mean())[None]
     width = 2 * window.half + 1
     if n // 2 < 2 * width:
-        raise BadSignalError(f"recording {recording.info.file} is too short to show its noise", f"{n} samples")
+        raise BadSignalError(
+            f"recording {recording.info.file} is too short to plan from: its noise does not show", f"{n} samples",
+            f"record {4 * width} samples ({4 * width / recording.rate_hz:.3g} s) at the least, better several periods"
+            " of the lowest frequency that matters",
+        )  # fmt: skip
     low, high = (int(np.clip(round(f * n / recording.rate_hz), 1, n // 2 - 1)) for f in frf.frequency_hz[[0, -1]])
     low = max(1, min(low, high - width))
     high = min(n // 2 - 1, max(high, low + width))
