@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 EXAM_SEED ?= 1
 STAMP := $(VENV)/.installed
 .DEFAULT_GOAL := help
-.PHONY: help docs pictures demo test test-bench test-long test-oldest test-newest check speed studies exam clean install
+.PHONY: help docs pictures demo test test-bench test-long test-oldest test-newest check speed studies exam release clean install
 
 help: ## list the targets
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -79,6 +79,9 @@ studies: $(STAMP) ## all studies under experiments/ but the exam, within an hour
 
 exam: $(STAMP) ## diagnose arms with sealed effects and score the answers (an hour or so); EXAM_SEED=n draws another exam
 	$(BIN)/python experiments/lab/exam.py --out experiments/exam/seed-$(EXAM_SEED) --seed $(EXAM_SEED)
+
+release: $(STAMP) ## the checklist of a release: sdist, wheel and conda package, each tried in a clean place; WITHOUT_CONDA=0 without rattler-build
+	PYTHON=$(BIN)/python .ci/release
 
 clean: ## remove caches (compiled kernels too) and the demo
 	find . -name __pycache__ -not -path './$(VENV)/*' -prune -exec rm -rf {} +

@@ -9,14 +9,18 @@ import sys
 import warnings
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, ClassVar
 from weakref import WeakSet
 
 import matplotlib.pyplot as plt
+import typer
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from pygments.lexer import inherit
+from pygments.lexers.shell import BashLexer
+from pygments.token import Keyword, Name
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
@@ -24,6 +28,7 @@ from sphinx_gallery.scrapers import figure_rst
 from sphinx_gallery.sorting import FileNameSortKey
 
 import loopshape
+from loopshape.cli import main as command_line
 from loopshape.core.toolboxes import found
 
 project = "loopshape"
@@ -51,18 +56,20 @@ extensions = [
     "numpydoc",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["gallery", "notebooks", "**/*.ipynb"]
+exclude_patterns = ["gallery", "notebooks", "paper", "**/*.ipynb"]
 suppress_warnings = ["config.cache"]  # the gallery's sorting is a class
 html_theme = "furo"
 html_title = f"loopshape {release}"
 templates_path = ["_templates"]
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_js_files = ["copy.js"]
 html_copy_source = html_show_sourcelink = False
 html_math_renderer = "mathml"
-myst_enable_extensions = ["dollarmath", "colon_fence"]
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
 myst_heading_anchors = 3
-pygments_style = "friendly"
+pygments_style = "xcode"  # every colour has 4.5:1 and more on its ground; a test computes it
+pygments_dark_style = "github-dark-high-contrast"
 
 default_role = "code"
 autosummary_generate = True
@@ -153,6 +160,59 @@ def public(
     )
 
 
+class Commands(BashLexer):
+    """Lines that are typed: the program with its command, and options, in colours of their own."""
+
+    tokens: ClassVar = {
+        "root": [
+            (r"\bloopshape(?: [a-z][a-z-]+)?", Keyword),
+            (r"(?<=\s)--?[a-z][\w-]*", Name.Attribute),
+            inherit,
+        ]
+    }
+
+
+def commands_page(app: Sphinx) -> None:
+    """The reference of the commands, from the commands themselves."""
+    group: Any = typer.main.get_command(command_line.app)
+    parts = [
+        "# Commands",
+        "",
+        "Every command with its options, as `loopshape COMMAND --help` prints them.",
+    ]
+    for heading, listed in command_line.COMMANDS.items():
+        parts += ["", f"## {heading}"]
+        for one in listed:
+            parts += _command(one.name, one.example, group.commands[one.name])
+    path = Path(app.srcdir) / "made" / "commands.md"
+    path.parent.mkdir(exist_ok=True)
+    text = "\n".join(parts) + "\n"
+    if not path.is_file() or path.read_text() != text:
+        path.write_text(text)
+
+
+def _command(name: str, example: str, command: Any) -> list[str]:
+    """A command: what it does, its arguments and options, an example."""
+    context = typer.Context(command, info_name=f"loopshape {name}")
+    rows = [record for p in command.params if (record := p.get_help_record(context))]
+    table = [f"| `{what}` | {' '.join(words.split())} |" for what, words in rows]
+    head = [
+        "",
+        f"### {name}",
+        "",
+        re.sub(r"\s*\n\s*\n\s*", "\n\n", command.help or "").strip(),
+        "",
+    ]
+    table = [
+        row.replace("|G|", r"\|G\|")
+        .replace("|S|", r"\|S\|")
+        .replace("|E", r"\|E")
+        .replace("d|²", r"d\|²")
+        for row in table
+    ]
+    return [*head, "| | |", "|---|---|", *table, "", "```console", example, "```"]
+
+
 def setup(app: Sphinx) -> None:
     """Formulas, docstrings and names as above."""
     app.add_html_math_renderer(
@@ -162,3 +222,5 @@ def setup(app: Sphinx) -> None:
     )
     app.connect("autodoc-process-docstring", as_rst, priority=400)
     app.connect("missing-reference", public)
+    app.connect("builder-inited", commands_page)
+    app.add_lexer("console", Commands)  # blocks of commands have no prompt: they are no output

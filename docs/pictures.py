@@ -94,6 +94,7 @@ def drawn() -> dict[str, Figure]:
         "readme/tones": _tones(),
         "readme/feedforward": _feedforward(),
         **_diagrams(),
+        **runpy.run_path(str(DOCS / "definitions.py"))["pictures"](),
     }
 
 
@@ -248,7 +249,7 @@ if __name__ == "__main__":
     pictures, demo, swing = drawn(), diagnosed(), diagnosed_swing()
     noted = shown() | {name: shown_in(figure) for name, figure in pictures.items()}
     noted |= {"demo": shown_of(demo), "swing": shown_of(swing)}
-    for name in ("readme", "diagrams", "demo"):
+    for name in ("readme", "diagrams", "definitions", "demo"):
         (FIGURES / name).mkdir(parents=True, exist_ok=True)
     for name, figure in (pictures | {"readme/swing": swing_figure(swing)}).items():
         (FIGURES / f"{name}.png").write_bytes(png(figure))

@@ -17,17 +17,21 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from page_in_browser import browser
 from PIL import Image
 from text_layout import PlacedText, looked_at, unreadable, unreadable_on_paper, with_texts
 
 import loopshape as ls
+from loopshape.cli.main import COMMANDS
 from loopshape.core.toolboxes import found
 
 ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
-PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if "made" not in path.parts)
+PAGES = sorted(path.relative_to(DOCS) for path in DOCS.rglob("*.md") if not {"made", "paper"} & {*path.parts})
 NOTEBOOKS, GALLERY = (sorted((DOCS / kind).glob("*.py")) for kind in ("notebooks", "gallery"))
-DRAWN = [path for kind in ("readme", "diagrams", "demo") for path in (ROOT / "figures" / kind).glob("*.png")]
+DRAWN = [
+    path for kind in ("readme", "diagrams", "definitions", "demo") for path in (ROOT / "figures" / kind).glob("*.png")
+]
 SHOWN = sorted(
     {
         (page.parent / name).resolve()
@@ -94,7 +98,7 @@ def test_every_page_is_in_the_contents() -> None:
     listed = set(
         re.findall(r"^[\w/]+$", "\n".join(re.findall(r"```{toctree}\n(.*?)```", index, flags=re.S)), flags=re.M)
     )
-    made = {"made/notebooks/index", "made/gallery/index"}
+    made = {"made/notebooks/index", "made/gallery/index", "made/commands"}
     assert listed == {str(page.with_suffix("")) for page in PAGES} - {"index"} | made
 
 
@@ -199,21 +203,72 @@ def test_every_picture_kept_is_named_by_a_page() -> None:
     assert [str(path.relative_to(ROOT)) for path in kept if path not in named] == []
 
 
-@pytest.mark.long
-def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as `make docs` does; a warning ends it."""
     for module in ("sphinx", "furo", "myst_parser", "numpydoc", "sphinx_gallery"):
         pytest.importorskip(module, reason="the extra `docs` is not installed")
-    docs, out = copied(tmp_path), tmp_path / "site"
+    folder = tmp_path_factory.mktemp("docs")
+    docs, out = copied(folder), folder / "site"
     done = run_python(
-        ["-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(docs), str(out)], docs, tmp_path, 280.0
+        ["-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(docs), str(out)], docs, folder, 280.0
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    pages = {path.relative_to(out).as_posix() for path in out.rglob("*.html")}
+    return out
+
+
+@pytest.mark.long
+def test_the_site_builds_without_a_warning(site: Path) -> None:
+    pages = {path.relative_to(site).as_posix() for path in site.rglob("*.html")}
     assert {"index.html", "api.html", "reference/loopshape.tune.html", "mathematics/intervals.html"} <= pages
-    for kind in ("gallery", "notebooks"):
-        for script in (docs / kind).glob("*.py"):
-            page = (out / "made" / kind / f"{script.stem}.html").read_text()
+    for kind, scripts in (("gallery", GALLERY), ("notebooks", NOTEBOOKS)):
+        for script in scripts:
+            page = (site / "made" / kind / f"{script.stem}.html").read_text()
             assert f"sphx_glr_{script.stem}_001.png" in page, script.stem
-    assert "<math" in (out / "mathematics" / "intervals.html").read_text()
+    assert "<math" in (site / "mathematics" / "intervals.html").read_text()
     loaded = re.compile(r"<(?:script|img)[^>]+src=\"https?:|<link[^>]+stylesheet[^>]+href=\"https?:")
-    assert [path.name for path in out.rglob("*.html") if loaded.search(path.read_text())] == []
+    assert [path.name for path in site.rglob("*.html") if loaded.search(path.read_text())] == []
+    commands = (site / "made" / "commands.html").read_text()
+    assert all(f'id="{one.name}"' in commands for listed in COMMANDS.values() for one in listed)
+
+
+@pytest.mark.long
+def test_every_page_fits_a_phone_and_the_search_finds_from_a_file(site: Path) -> None:
+    """375 px: nothing makes a page scroll sideways. The search is a script and needs no server."""
+    with browser() as chromium, chromium.new_context(viewport={"width": 375, "height": 800}) as context:
+        page, wide = context.new_page(), {}
+        for path in sorted(site.rglob("*.html")):
+            page.goto(path.as_uri())
+            width = page.evaluate("document.documentElement.scrollWidth")
+            if width > 375:
+                wide[path.relative_to(site).as_posix()] = width
+        assert wide == {}
+        page.goto((site / "search.html").as_uri() + "?q=detuning")
+        page.wait_for_selector("#search-results ul.search li a")
+        assert "check.html" in " ".join(a.get_attribute("href") for a in page.locator("ul.search li a").all())
+        page.goto((site / "first_loop.html").as_uri())
+        assert page.locator("button.copy").count() == page.locator("div.highlight").count() > 5
+
+
+def luminance(colour: str) -> float:
+    """WCAG 2.1, of #rrggbb."""
+    values = np.array([int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5)])
+    linear = np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+@pytest.mark.parametrize("key", ["pygments_style", "pygments_dark_style"])
+def test_code_on_the_site_is_coloured_with_enough_contrast(key: str) -> None:
+    """4.5 to 1, of every colour on its ground; commands are coloured as commands, not as grey output."""
+    styles = pytest.importorskip("pygments.styles")
+    conf = (DOCS / "conf.py").read_text()
+    style = styles.get_style_by_name(re.findall(rf'^{key} = "([\w-]+)"', conf, flags=re.M)[0])
+    low = {}
+    for token, look in style:
+        ground = f"#{look['bgcolor']}" if look["bgcolor"] else style.background_color
+        if look["color"]:
+            dark, light = sorted((luminance(f"#{look['color']}"), luminance(ground)))
+            if (light + 0.05) / (dark + 0.05) < 4.5:
+                low[str(token)] = (look["color"], ground)
+    assert low == {}
+    assert 'add_lexer("console", Commands)' in conf
