@@ -22,7 +22,6 @@ from PIL import Image
 from text_layout import PlacedText, looked_at, unreadable, unreadable_on_paper, with_texts
 
 import loopshape as ls
-from loopshape.cli.main import COMMANDS
 from loopshape.core.toolboxes import found
 
 ROOT = Path(__file__).parents[3]
@@ -229,7 +228,7 @@ def test_the_site_builds_without_a_warning(site: Path) -> None:
     loaded = re.compile(r"<(?:script|img)[^>]+src=\"https?:|<link[^>]+stylesheet[^>]+href=\"https?:")
     assert [path.name for path in site.rglob("*.html") if loaded.search(path.read_text())] == []
     commands = (site / "made" / "commands.html").read_text()
-    assert all(f'id="{one.name}"' in commands for listed in COMMANDS.values() for one in listed)
+    assert all(f'id="{name}"' in commands for name in ("demo", "frf", "tune", "check", "report", "gap"))
 
 
 @pytest.mark.long
