@@ -74,8 +74,15 @@ class Monitor:
 
     def watched(self) -> Watched:
         """What the firmware's memory says now."""
-        said = self.ask(f"xp /4xw 0x{self._at}").rpartition(": ")[2]
-        return Watched(*(int(word, 16) for word in re.findall(r"0x([0-9a-f]{8})\b", said)))
+        return Watched(*self._words(int(self._at, 16), 4))
+
+    def word(self, address: int) -> int:
+        """A register or a word of memory."""
+        return self._words(address, 1)[0]
+
+    def _words(self, address: int, count: int) -> list[int]:
+        said = self.ask(f"xp /{count}xw {address:#x}").rpartition(": ")[2]
+        return [int(word, 16) for word in re.findall(r"0x([0-9a-f]{8})\b", said)]
 
 
 @contextmanager

@@ -36,7 +36,7 @@ def emulator(
 
     if board is not None:
         arm = {"change": change, "at": at, "drop": drop, "corrupt": corrupt, "duplicate": duplicate, "seed": seed}
-        started = cortex_m.chosen(board, tcp or 0, rate_hz, arm)
+        started = cortex_m.chosen(board, tcp or 0, rate_hz, arm | {"number_bytes": number_bytes != 8})
     else:
         changes = _numbers(change or [], "a change is a parameter and its value", "payload_kg=0.2")
         point = _numbers(at or [], "a point is a coordinate and its value", "p_ab_bar=1.2")

@@ -3,6 +3,8 @@
 When the machine was made safe is read from the chip's memory, past the protocol and its watchdog.
 """
 
+import re
+import socket
 import struct
 import time
 
@@ -10,6 +12,7 @@ import numpy as np
 import pytest
 from cortex_m_cases import armed, board, configuration, session
 
+import loopshape as ls
 from loopshape.toolbox.rig.target.frames import Frame
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Reason, Request, Response, State, rows, start_payload
@@ -163,6 +166,34 @@ def test_a_vent_vents_whatever_came_before(chip, before, tag, payload):
         found = monitor.watched()
     assert (status.state, status.fault) == (State.FAULT, Reason.EMERGENCY_STOP)
     assert asked.ticks <= found.safe_at <= found.ticks
+
+
+def told(debugger, words: bytes) -> bytes:
+    """What QEMU's debugger answers to a packet."""
+    debugger.sendall(b"$" + words + b"#%02x" % (sum(words) % 256))
+    said = b""
+    while not re.search(rb"\$.*#..$", said, re.S):
+        said += debugger.recv(65536)
+    debugger.sendall(b"+")
+    return said
+
+
+def test_a_fault_of_the_processor_leaves_it_idle(tmp_path):
+    """Armed, it is sent to where there is no program: pins safe, a new start, and nothing that was configured stays."""
+    line = f"socket,id=debugger,path={tmp_path / 'debugger'},server=on,wait=off"
+    with board("-chardev", line, "-gdb", "chardev:debugger") as (port, _), open_link(port, 0) as link:
+        one = Session(link)
+        armed(one, configuration(GAIN, watchdog_ms=10_000))
+        assert one.status().state is State.ARMED
+        with socket.socket(socket.AF_UNIX) as debugger:
+            debugger.connect(str(tmp_path / "debugger"))
+            told(debugger, b"qXfer:features:read:target.xml:0,ffb")  # without it no register can be set
+            assert b"$OK#" in told(debugger, b"Pf=000000f0")
+            assert b"$OK#" in told(debugger, b"D")
+        one = Session(link)
+        assert one.status().state is State.IDLE
+        with pytest.raises(ls.errors.RigError, match="nothing is configured"):
+            one.ask(Request.READY)
 
 
 @pytest.fixture(scope="module")

@@ -63,6 +63,7 @@ def test_the_makefile_is_what_builds_it(tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [(["--board", "cortex_x"], "a board is not known"), (["--board", "cortex_m", "--drop", "0.1"], "simulated arm's"),
+     (["--board", "cortex_m", "--number-bytes", "4"], "received number_bytes"),
      (["--board", "cortex_m", "--rate-hz", "1001"], "divides 168 MHz")],
 )  # fmt: skip
 def test_what_it_cannot_do_is_refused(words, said):
@@ -93,6 +94,16 @@ def test_it_answers_with_what_it_is_and_ends_with_whoever_started_it():
     process.wait(10)
     process.stdout.close()
     process.stderr.close()
+
+
+def test_its_line_is_as_fast_as_it_should_be():
+    """By the reference manual's formula from the registers as they stand: APB1 over BRR, 16 samples a bit."""
+    with board() as (port, monitor):
+        with session(port) as one:
+            one.status()
+        (brr, cr1) = (monitor.word(address) for address in (0x40004408, 0x4000440C))
+    assert cr1 >> 15 & 1 == 0
+    assert 42e6 / 16.0 / ((brr >> 4) + (brr & 15) / 16.0) == pytest.approx(921_600, rel=0.015)
 
 
 def exact(frequency_hz, rate_hz):

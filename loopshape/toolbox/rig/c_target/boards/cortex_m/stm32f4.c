@@ -17,6 +17,11 @@
 #error "RATE_HZ lies between 1000 and 5000 and divides 168 MHz"
 #endif
 
+#define BIT_CYCLES ((APB1_HZ + BAUD / 2u) / BAUD)
+#if BIT_CYCLES < 16 || BIT_CYCLES * BAUD > APB1_HZ / 200u * 203u || BIT_CYCLES * BAUD < APB1_HZ / 200u * 197u
+#error "42 MHz divided by a whole number comes no nearer to BAUD than 1.5 %, or BAUD lies beyond 2.6 MHz"
+#endif
+
 static volatile uint8_t received[RECEIVED], to_send[SENT];
 static volatile uint32_t received_in, received_out, sent_in, sent_out; /* counted up; places modulo the size */
 static volatile uint32_t due, now_ms;
@@ -43,13 +48,14 @@ static void clock_init(void)
 
     if (!(RCC_CR & hsi_ready))
         return;
-    RCC_CR |= hse | (BYPASS ? bypass : 0u);
+    RCC_CR |= BYPASS ? bypass : 0u;
+    RCC_CR |= hse;
     if (!ready(hse_ready))
         for (;;)
             ; /* without its clock no tick has its length: better no target */
     FLASH_ACR = 5u | 7u << 8;                         /* wait states at 168 MHz; prefetch and caches */
     RCC_CFGR = 5u << 10 | 4u << 13;                   /* APB1 42 MHz, APB2 84 MHz */
-    RCC_PLLCFGR = 8u | 336u << 6 | 1u << 22 | 7u << 24; /* 8 MHz / 8 * 336 / 2 */
+    RCC_PLLCFGR = 8u | 336u << 6 | 1u << 22 | 7u << 24 | 2u << 28; /* 8 MHz / 8 * 336 / 2 */
     RCC_CR |= pll;
     if (!ready(pll_ready))
         for (;;)
@@ -65,9 +71,9 @@ static void usart_init(void)
     RCC_APB1ENR |= 1u << 17;
     AFRL(GPIOA) = (AFRL(GPIOA) & ~0xFF00u) | 0x7700u;
     MODER(GPIOA) = (MODER(GPIOA) & ~0xF0u) | 0xA0u;
-    const uint32_t eighths = (2u * APB1_HZ + BAUD / 2u) / BAUD; /* eight samples a bit */
-    USART2_BRR = (eighths & ~7u) << 1 | (eighths & 7u);
-    USART2_CR1 = 1u << 15 | 1u << 13 | 1u << 5 | 1u << 3 | 1u << 2; /* OVER8, on, RXNE interrupts, both ways */
+    PUPDR(GPIOA) = (PUPDR(GPIOA) & ~0xC0u) | 0x40u; /* without a cable the line rests */
+    USART2_BRR = BIT_CYCLES;
+    USART2_CR1 = 1u << 13 | 1u << 5 | 1u << 3 | 1u << 2; /* on, interrupts where a byte has come, both ways */
     NVIC_IPR(USART2_IRQ) = 0x10; /* behind the timer */
     NVIC_ISER(USART2_IRQ / 32u) = 1u << USART2_IRQ % 32u;
 }
