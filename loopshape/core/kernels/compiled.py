@@ -22,7 +22,9 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core import types
 from numba.core.compiler import CompileResult
+from numba.core.runtime import rtsys
 from numpy.typing import NDArray
 
 from loopshape.core.folders import cache_folder
@@ -48,11 +50,35 @@ def compiled_in_line(function: F) -> F:
     return _compile(function, forceinline=True)
 
 
-def _compile(function: F, **options: bool) -> F:
+def compiled_reading(*written: str) -> Callable[[F], F]:
+    """As `compiled`, for a kernel that writes into the arguments `written` alone.
+
+    Kernels that call it share the form for read-only arrays, whether theirs may be written to or not.
+    """
+    return lambda function: _compile(function, written)
+
+
+def _compile(function: F, written: tuple[str, ...] | None = None, **options: bool) -> F:
     dispatcher = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function)
     if dispatcher is not function:
         dispatcher._cache = keep(function) or dispatcher._cache
+        _share_forms(dispatcher, written)
     return cast(F, dispatcher)
+
+
+def _share_forms(dispatcher: Any, written: tuple[str, ...] | None) -> None:
+    """Kernels that call this one with 2 and with 3 share a compiled form; numba would make one for each constant."""
+    names, template = list(inspect.signature(dispatcher.py_func).parameters), dispatcher.get_call_template
+
+    def shared(name: str, kind: Any) -> Any:
+        only_read = written is not None and name not in written and isinstance(kind, types.Array)
+        return kind.copy(readonly=True) if only_read else types.unliteral(kind)
+
+    def plain(args: Any, kws: Any) -> Any:
+        by_place = [shared(name, kind) for name, kind in zip(names, args, strict=False)]
+        return template(by_place, {name: shared(name, kind) for name, kind in kws.items()})
+
+    dispatcher.get_call_template = plain
 
 
 class Kept:
@@ -73,7 +99,7 @@ class Kept:
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The compiled form for a signature; None where there is none or its file is damaged."""
-        target.refresh()
+        rtsys.initialize(target)  # what compiled code runs on; the rest of numba is for compiling, and half its start
         data = _whole(self._path(signature, target.codegen()))
         return None if data is None else CompileResult._rebuild(target, *pickle.loads(data))
 

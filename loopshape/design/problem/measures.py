@@ -180,8 +180,9 @@ def crossing_rows(e: Evaluation, tighten: Tighten) -> tuple[list[Rows], Rows]:
     """
     p, limits = e.p, e.p.limits
     *made, value, at, ab = kernel.crossing_rows(e.flat, *_levels(p, tighten), p.integrators)
+    order = np.argsort(made[0][:, 0], kind="stable")  # by quantity, as they came
     bandwidths = Rows("", value, at[:, 0], at[:, 1], at[:, 2], ab[:, 0], at[:, 3], ab[:, 1])
-    out = list(of_kernel((*_MARGINS, DIP), *made))
+    out = list(of_kernel((*_MARGINS, DIP), *(rows[order] for rows in made)))
     if "bandwidth_hz" in limits:
         out.append(_at_least(bandwidths, "bandwidth_hz", e, tighten))
     if "sensitivity_bandwidth_hz" in limits:

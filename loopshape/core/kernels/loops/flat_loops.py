@@ -95,9 +95,9 @@ def all_stable(
     nothing = np.zeros(0, dtype=np.complex128)
     for p in range(first.size - 1):
         mine, before = L[first[p] : first[p + 1]], below[first_below[p] : first_below[p + 1]]
-        poles = count_unstable(mine, integrators[p], unstable[p], before if fitted[p] else nothing)
+        poles = count_unstable(mine, integrators[p], unstable[p], before if fitted[p] else nothing, 0.0)
         if poles == NO_FIT and before.size and not fitted[p]:
-            poles = count_unstable(mine, integrators[p], unstable[p], before)
+            poles = count_unstable(mine, integrators[p], unstable[p], before, 0.0)
         if poles != 0:
             return False
     return True

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from loopshape.core.kernels.compiled import Array, ComplexArray, compiled
+from loopshape.core.kernels.compiled import Array, ComplexArray, compiled, compiled_reading
 
 #: what a column of `read_margins` holds
 GAIN_DB, REDUCTION_DB, PHASE_DEG, LN_DELAY_S, LN_MODULUS, COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB = range(8)
@@ -193,7 +193,7 @@ def _finish(found: Array) -> None:
     found[LN_DISK] = np.log(2.0) + 0.5 * np.log(found[LN_DISK]) if found[LN_DISK] > 0.0 else -np.inf
 
 
-@compiled
+@compiled_reading()
 def read_margins(
     f: Array,
     L: ComplexArray,
@@ -253,7 +253,7 @@ def read_drawn(
     return found
 
 
-@compiled
+@compiled_reading("found", "at")
 def _read(
     f: Array, L: ComplexArray, c2: Array, over_c2: Array, f_above: Array, c2_above: Array, from_hz: float,
     bounded: bool, masks: Array, masks_above: Array, found: Array, at: Array, below: bool = True, least: float = 0.0,

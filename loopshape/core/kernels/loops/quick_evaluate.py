@@ -74,7 +74,7 @@ def quick_evaluate(
             own[k] = gain * C[q.line[a + k]]
         found, _ = read_margins(
             q.f[a:b], mine.reshape(1, b - a), own, q.f_above[start:], gain * above[start:], q.from_hz, True,
-            q.masks[:, a:b].copy(), q.masks_above[p][:, start:].copy(), False,
+            q.masks[:, a:b].copy(), q.masks_above[p][:, start:].copy(), False, 0.0,
         )  # fmt: skip
         room = min(room, _room(q, p, found[0]), _sure(q, p, mine, own))
         slowest = min(slowest, _bandwidth(q, p, mine, found[0, LN_BANDWIDTH_HZ]))

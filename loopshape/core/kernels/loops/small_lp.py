@@ -13,6 +13,8 @@ OPTIMAL, NOT_SOLVED = 0, 1
 #: a row counts as violated from here on, and a pivot as one
 _SLACK, _PIVOT = 1e-10, 1e-11
 
+# An array into a slice brings along the words of an error that numba compiles for three seconds: loops do not.
+
 
 @compiled
 def boxed_lp(cost: Array, A: Array, b: Array, low: Array, high: Array) -> tuple[Array, Array, int]:
@@ -47,7 +49,8 @@ def boxed_lp(cost: Array, A: Array, b: Array, low: Array, high: Array) -> tuple[
             break
         row[:] = 0.0
         if q < m:
-            row[:] = A[q]
+            for k in range(n):
+                row[k] = A[q, k]
         elif q < m + n:
             row[q - m] = 1.0
         else:
@@ -63,9 +66,11 @@ def boxed_lp(cost: Array, A: Array, b: Array, low: Array, high: Array) -> tuple[
         y -= worst * pivot
         for k in range(n):
             if k != leaving:
-                inverse[k] -= parts[k] * pivot
+                mine = inverse[k]
+                mine -= parts[k] * pivot
                 weight[k] = max(weight[k] - least * parts[k], 0.0)
-        inverse[leaving] = pivot
+        for k in range(n):
+            inverse[leaving, k] = pivot[k]
         weight[leaving] = least
         active[leaving] = q
     multipliers = np.zeros(m)
@@ -98,12 +103,17 @@ def linearised(
     A, b = np.zeros((value.size + kept.sum(), n + terms + 2)), np.empty(value.size + kept.sum())
     lows, highs = np.zeros(n + terms + 2), np.full(n + terms + 2, 1.0 - deepest)
     cost = np.zeros(n + terms + 2)
-    lows[:n], highs[:n], lows[n : n + terms], highs[n : n + terms] = low, high, np.inf, -np.inf
-    cost[n : n + terms], cost[n + terms], cost[n + terms + 1] = -weights, 1.0, penalty
+    cost[n + terms], cost[n + terms + 1] = 1.0, penalty
+    for v in range(n):
+        lows[v], highs[v] = low[v], high[v]
+    for t in range(terms):
+        lows[n + t], highs[n + t], cost[n + t] = np.inf, -np.inf, -weights[t]
     largest, farthest = np.zeros(terms), max(-low.min(), high.max())
     for k in range(value.size):
         largest[term[k]] = max(largest[term[k]], np.abs(slopes[k]).sum() * farthest)
-        A[k, :n], A[k, n + term[k]], b[k] = -slopes[k], 1.0, value[k]
+        A[k, n + term[k]], b[k] = 1.0, value[k]
+        for v in range(n):
+            A[k, v] = -slopes[k, v]
         lows[n + term[k]], highs[n + term[k]] = min(lows[n + term[k]], value[k]), max(highs[n + term[k]], value[k])
     for t in range(terms):
         lows[n + t] -= largest[t] + 1.0
@@ -111,6 +121,8 @@ def linearised(
     row = value.size
     for k in range(m):
         if kept[k]:
-            A[row, :n], A[row, n + terms + (0 if soft[k] else 1)], b[row] = -room_slopes[k], -1.0, room[k]
+            A[row, n + terms + (0 if soft[k] else 1)], b[row] = -1.0, room[k]
+            for v in range(n):
+                A[row, v] = -room_slopes[k, v]
             row += 1
     return cost, A, b, lows, highs

@@ -87,38 +87,35 @@ def _sizes(x: Flat, kind: int, from_hz: float, mask: Array, out: Array) -> float
 
     Returns the largest.
     """
-    if kind == T:
-        out[:] = x.ln_L + x.ln_S
-    elif kind == CS or kind == SURE:  # noqa: SIM109
-        ln_C, ln_S, line = x.ln_C, x.ln_S, x.line
-        for k in range(out.size):
-            out[k] = ln_C[line[k]] + ln_S[k]
-        if kind == SURE:
-            out += x.ln_circle
-    elif kind == NORM:
-        for k in range(out.size):
-            out[k] = 0.5 * np.log(max(x.own[k] + _control_part(x, k), _TINY)) + x.ln_S[k]
-    elif kind == PS:
-        out[:] = x.ln_P + x.ln_S
-    elif kind == DISK:
-        L = x.L
-        for k in range(out.size):
-            out[k] = 0.5 * np.log((1.0 - L[k].real) ** 2 + L[k].imag ** 2)
-        out += x.ln_S
-    elif kind == LOOP:
-        out[:] = x.ln_L
-    elif kind == FLOOR:
-        out[:] = -x.ln_L
-    else:
-        out[:] = x.ln_S
-    if mask.size:
-        out -= -mask if kind == FLOOR else mask
-    largest, f = -np.inf, x.f
+    largest, up = -np.inf, -1.0 if kind == FLOOR else 1.0
     for k in range(out.size):
-        if f[k] < from_hz:
+        if x.f[k] < from_hz:
             out[k] = -np.inf
+            continue
+        size = _size(x, kind, k)
+        out[k] = size - up * mask[k] if mask.size else size
         largest = max(largest, out[k])
     return largest
+
+
+@compiled_in_line
+def _size(x: Flat, kind: int, k: int) -> float:
+    """ln of a magnitude at a line."""
+    if kind == T:
+        return x.ln_L[k] + x.ln_S[k]
+    if kind == CS:
+        return x.ln_C[x.line[k]] + x.ln_S[k]
+    if kind == SURE:
+        return x.ln_C[x.line[k]] + x.ln_S[k] + x.ln_circle[k]
+    if kind == NORM:
+        return 0.5 * np.log(max(x.own[k] + _control_part(x, k), _TINY)) + x.ln_S[k]
+    if kind == PS:
+        return x.ln_P[k] + x.ln_S[k]
+    if kind == DISK:
+        return 0.5 * np.log((1.0 - x.L[k].real) ** 2 + x.L[k].imag ** 2) + x.ln_S[k]
+    if kind == LOOP:
+        return x.ln_L[k]
+    return -x.ln_L[k] if kind == FLOOR else x.ln_S[k]
 
 
 @compiled_in_line
@@ -164,14 +161,36 @@ def _control_above(x: Flat, q: int, level: Array, from_hz: float, out: Out, n: i
             tightest, least, start_there, slope_there = p, left, start, slope
         if start < above:
             k = best[start]
-            n = _put(out, n, q, x.f.size + k, p, left - x.ln_C[x.above + k], x.above + k, -1.0, x.line[last], -slope)
+            n = _put(
+                out,
+                n,
+                q,
+                x.f.size + k,
+                p,
+                left - x.ln_C[x.above + k],
+                x.above + k,
+                -1.0 + 0.0j,
+                x.line[last],
+                complex(-slope),
+            )
     last = x.first[tightest + 1] - 1
     if start_there < above:
         most = x.ln_C[x.above + best[start_there]]
         for k in range(start_there, above):
             size = x.ln_C[x.above + k]
             if size > most - _NEAR:
-                n = _put(out, n, q, x.f.size + k, tightest, least - size, x.above + k, -1.0, x.line[last], -slope_there)
+                n = _put(
+                    out,
+                    n,
+                    q,
+                    x.f.size + k,
+                    tightest,
+                    least - size,
+                    x.above + k,
+                    -1.0 + 0.0j,
+                    x.line[last],
+                    complex(-slope_there),
+                )
     return n
 
 
@@ -201,11 +220,11 @@ def magnitude_rows(
                 if mine[k]:
                     column = line[k]
                     a = _norm_by_ln_C(x, k) if kinds[q] == NORM else _by_ln_L(kinds[q], L[k])
-                    n = _put(out, n, q, k, p, level[q, p] - sizes[q, k], column, a, column, 0.0)
+                    n = _put(out, n, q, k, p, level[q, p] - sizes[q, k], column, a, column, 0.0j)
             if above[q] == STAYS and kinds[q] != CS:
                 last = x.first[p + 1] - 1
                 value, slope = _stays(x, kinds[q], level[q, p], last)
-                n = _put(out, n, q, last, p, value, x.line[last], slope, x.line[last], 0.0)
+                n = _put(out, n, q, last, p, value, x.line[last], complex(slope), x.line[last], 0.0j)
         if above[q] == STAYS and kinds[q] == CS and x.f_above.size:
             n = _control_above(x, q, level[q], from_hz[q], out, n)
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy()
@@ -224,7 +243,7 @@ def end_rows(
     out = Out(np.empty((room, 5), dtype=np.int64), np.empty(room), np.empty((room, 2), dtype=np.complex128))
     for p in range(points):
         k = x.first[p + 1] - 1
-        n = _put(out, n, q, k, p, -_SURE - x.ln_L[k], x.line[k], -1.0, x.line[k], 0.0)
+        n = _put(out, n, q, k, p, -_SURE - x.ln_L[k], x.line[k], -1.0 + 0.0j, x.line[k], 0.0j)
         k = x.first[p] + x.below[p]
         column = x.line[k]
         if blind[p]:
@@ -234,9 +253,9 @@ def end_rows(
             if unstable[p] % 2 == 1:
                 ahead = -ahead
             swing = np.arctan2(ahead.imag, ahead.real)
-            n = _put(out, n, q, k, p, fit - _SURE - abs(swing), column, 1j * np.sign(swing), column, 0.0)
+            n = _put(out, n, q, k, p, fit - _SURE - abs(swing), column, 1j * np.sign(swing), column, 0.0j)
         if unfitted[p]:
-            n = _put(out, n, q, k, p, x.ln_L[k] - _SURE, column, 1.0, column, 0.0)
+            n = _put(out, n, q, k, p, x.ln_L[k] - _SURE, column, 1.0 + 0.0j, column, 0.0j)
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy()
 
 
@@ -281,7 +300,7 @@ def crossing_rows(
                 break
             ahead = x.ln_L[k + 1]
             if not fallen and k > a and 0.0 < here < shallow and here <= x.ln_L[k - 1] and here < ahead:
-                n = _put_between(x, out, n, 4, k, p, here - dip[p], 0.0, 1.0)
+                n = _put_between(x, out, n, 4, k, p, here - dip[p], 0.0, 1.0 + 0.0j)
             if here * ahead < 0.0:
                 rise, span = ahead - here, x.ln_f[k + 1] - x.ln_f[k]
                 s, turn = -here / rise, _angle(x.L[k + 1] / x.L[k])
@@ -294,13 +313,12 @@ def crossing_rows(
             if y0 * y1 <= 0.0 and (x.L[k].real < 0.0 or x.L[k + 1].real < 0.0):
                 n = _gain_rows(x, out, n, k, p, gain[p], reduction[p])
         if not np.isnan(gain[p]):
-            n = _put_between(x, out, n, 2, b - 1, p, -x.ln_L[b - 1] - gain[p], 0.0, -1.0)
+            n = _put_between(x, out, n, 2, b - 1, p, -x.ln_L[b - 1] - gain[p], 0.0, -1.0 + 0.0j)
         wide[p] = value
         j = min(at + 1, lines - 1)
         wide_at[p, 0], wide_at[p, 1], wide_at[p, 2], wide_at[p, 3] = at, p, x.line[at], x.line[j]
         wide_ab[p, 0], wide_ab[p, 1] = (1.0 - share) * move, share * move
-    order = np.argsort(out.places[:n, 0], kind="mergesort")  # by quantity, as they came
-    return out.places[order], out.value[order], out.ab[order], wide, wide_at, wide_ab
+    return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy(), wide, wide_at, wide_ab
 
 
 @compiled
