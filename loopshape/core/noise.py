@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from loopshape.core.units import Array
 
@@ -27,5 +27,5 @@ def rms_interval(power: float, variance: float) -> tuple[float, float]:
     if power <= 0.0 or variance <= 0.0:
         return float(np.sqrt(max(power, 0.0))), float(np.sqrt(max(power, 0.0)))
     freedom = 2.0 * power**2 / variance
-    low, high = (float(np.sqrt(power * freedom / chi2.ppf(level, freedom))) for level in (0.975, 0.025))
+    low, high = (float(np.sqrt(0.5 * power * freedom / gammaincinv(0.5 * freedom, level))) for level in (0.975, 0.025))
     return low, high

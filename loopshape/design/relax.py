@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import nnls
 
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
@@ -142,6 +141,8 @@ def _certificate(p: Problem, least: SearchResult, tighten: Tighten) -> tuple[tup
     The shortest convex combination of the rows' slopes, bounds of the parameters taken off: by duality the
     linearised worst miss falls by no more than its 1-norm for every 1 in the largest |dx|.
     """
+    from scipy.optimize import nnls
+
     m = least.measures
     rows = np.flatnonzero(m.room <= m.worst + CLOSE)
     slopes = m.room_slopes[rows]

@@ -8,8 +8,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import SUFFIXES, TWO_PI, Array, ComplexArray, angular, db
@@ -312,6 +311,8 @@ def solve(
     (the sandwich A^-1 J' V J A^-1), widened where the residual exceeds the noise, and by the overlap where
     neighbouring lines share their error.
     """
+    from scipy.optimize import least_squares
+
     scale = np.sqrt(0.5 * weight_variance)
 
     def residual(x: Array) -> Array:
@@ -376,7 +377,7 @@ def residual_tests(left: ComplexArray, freedom: float, data: Data, stretch: floa
     scale = data.overlap * spread
     total = float(np.sum(np.abs(left) ** 2)) / (mean * scale)
     apart = left[:: 1 if data.overlap == 1.0 else int(np.ceil(data.overlap)) + 1]
-    return float(chi2.sf(total, freedom / scale)), min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
+    return float(chdtrc(freedom / scale, total)), min(1.0, 2.0 * min(runs_test(apart.real), runs_test(apart.imag)))
 
 
 def _inverse(jacobian: Array) -> Array:
@@ -396,4 +397,4 @@ def runs_test(residual: Array) -> float:
     runs = 1 + int(np.sum(positive[1:] != positive[:-1]))
     mean = 2.0 * n1 * n2 / (n1 + n2) + 1.0
     variance = (mean - 1.0) * (mean - 2.0) / (n1 + n2 - 1.0)
-    return float(2.0 * norm.sf(abs(runs - mean) / np.sqrt(variance)))
+    return float(2.0 * ndtr(-abs(runs - mean) / np.sqrt(variance)))

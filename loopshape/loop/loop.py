@@ -25,7 +25,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray
@@ -346,6 +345,8 @@ def characteristic_loci(L: ComplexArray) -> ComplexArray:
     n = loci.shape[1]
     if n == 1:
         return loci
+    from scipy.optimize import linear_sum_assignment
+
     order = np.argsort(-np.abs(loci[0]))
     loci[0] = loci[0][order]
     for k in range(1, len(loci)):

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from loopshape.core.kernels import smoothing as kernel
 from loopshape.core.units import Array, ComplexArray
@@ -118,6 +117,8 @@ def _curved(
     f: Array, values: ComplexArray, at: Array, k: np.ndarray, share: Array
 ) -> tuple[ComplexArray, ComplexArray]:
     """Values (n, ...) straight between lines, and how far a spline lies off that, at `share` of the k-th gaps."""
+    from scipy.interpolate import CubicSpline
+
     straight = values[k] * (1.0 - share) + values[k + 1] * share
     step = np.abs(np.diff(values, axis=0))
     about = np.maximum(step[np.maximum(k - 1, 0)], np.maximum(step[k], step[np.minimum(k + 1, f.size - 2)]))

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.optimize import brentq
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
@@ -144,6 +143,8 @@ def _ln_largest(mean: float, faster: float, samples: float, rate_hz: float) -> t
 
 def _largest_std(one: Opened, percent: float) -> float:
     """The rms of an input that leaves the actuator's range for this share of time."""
+    from scipy.optimize import brentq
+
     actuator = Actuator(one.low, one.high)
     if min(actuator) <= 0.0:  # its mean alone saturates
         return LEAST

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import firwin, upfirdn
 
 from loopshape.core.stretches import AT_ONCE, LongSignal, Signal, extent
 from loopshape.core.units import Array
@@ -158,6 +157,8 @@ def thinned(x: Signal, part: Part) -> Array:
     """Samples of a part of a signal (n,), filtered and every `factor`-th of them; a record's ends are held."""
     if part.factor == 1:
         return np.array(x[part.start : part.stop])
+    from scipy.signal import firwin, upfirdn
+
     half = TAPS * part.factor // 2
     taps = firwin(2 * half + 1, 2.0 * CORNER / part.factor, window=("kaiser", BETA))
     out = np.empty((part.stop - part.start) // part.factor)

@@ -18,9 +18,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import chi2, ncx2
-from scipy.stats import f as fisher
-from scipy.stats import t as student
+from scipy.special import chdtri, fdtri, stdtrit
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, deg
@@ -127,6 +125,8 @@ class Reach(NamedTuple):
 @lru_cache(maxsize=256)
 def _rice_table(tail: float) -> tuple[Array, Array]:
     """Measured magnitudes that `tail` of all measurements exceed, and the true ones, both in deviations."""
+    from scipy.stats import ncx2
+
     true = np.concatenate([np.linspace(0.0, 4.0, 81), np.geomspace(4.1, _FAR, 60)])
     return np.sqrt(0.5 * ncx2.isf(tail, 2, 2.0 * true**2)), true
 
@@ -143,9 +143,9 @@ def _widening(freedom: float, tail: float) -> tuple[float, float, float]:
     """How much wider an interval is whose deviation is itself estimated: far from zero, at the threshold, and there."""
     if not np.isfinite(freedom):
         return 1.0, 1.0, float(np.sqrt(-np.log(tail)))
-    normal = np.sqrt(chi2.isf(2.0 * tail, 1))
-    threshold = float(np.sqrt(fisher.isf(tail, 2, freedom)))
-    return float(student.isf(tail, freedom) / normal), threshold / float(np.sqrt(-np.log(tail))), threshold
+    normal = np.sqrt(chdtri(1, 2.0 * tail))
+    threshold = float(np.sqrt(fdtri(2, freedom, 1.0 - tail)))
+    return float(-stdtrit(freedom, tail) / normal), threshold / float(np.sqrt(-np.log(tail))), threshold
 
 
 def magnitude_bounds(size: Array, deviation: Array, freedom: float = np.inf, tail: float = TAIL) -> Reach:
@@ -161,7 +161,7 @@ def magnitude_bounds(size: Array, deviation: Array, freedom: float = np.inf, tai
         widen = far + (near - far) * np.minimum(1.0, threshold / np.maximum(ratio, 1e-300)) ** 2
         inside = np.where(np.isfinite(ratio), ratio, 0.0) / widen
         low = np.where(np.isfinite(ratio), widen * _lower_end(inside, tail) * deviation, size)
-    half_width = far * np.sqrt(0.5 * chi2.isf(2.0 * tail, 1))
+    half_width = far * np.sqrt(0.5 * chdtri(1, 2.0 * tail))
     return Reach(np.minimum(low, size), size + half_width * deviation)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations, pairwise
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, from_db
@@ -221,7 +221,7 @@ def _expected(pair: _LoopPair, lines: np.ndarray, tail: float, more: float) -> R
     The largest of n estimates is too high by what the largest of n errors is in the median; averages take that away.
     """
     bounds = pair.bounds(lines, tail, more)
-    luck = norm.ppf(0.5 ** (1.0 / max(lines.size / pair.line_overlap, 1.0)))
+    luck = ndtri(0.5 ** (1.0 / max(lines.size / pair.line_overlap, 1.0)))
     spread = np.minimum(pair.relative_std[lines] / np.sqrt(2.0), 1.0)
     factor = np.exp(-luck * spread * (1.0 - 1.0 / np.sqrt(more)))
     return Reach(bounds.low * factor, bounds.high * factor)

@@ -17,7 +17,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import Array, ComplexArray, db
@@ -221,7 +221,7 @@ def _seen(lines: Lines) -> bool:
         return False
     power = float(np.mean(lines.noise**2))
     ratio = float(np.mean(lines.amplitude**2)) / power if power > 0.0 else np.inf
-    return bool(fisher.sf(ratio, 2 * n, 2 * n) < CHANCE) if np.isfinite(ratio) else True
+    return bool(fdtrc(2 * n, 2 * n, ratio) < CHANCE) if np.isfinite(ratio) else True
 
 
 def _verdict(bands: tuple[DistortionBand, ...], kinds: dict[str, Lines]) -> str:

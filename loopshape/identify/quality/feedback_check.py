@@ -16,7 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array
@@ -108,7 +108,7 @@ def feedback_check(
     explained = float(((more.T @ e) ** 2).sum() / (e @ e))
     added, slack = more.shape[1], e.size - rows.removed - basis.shape[1] - more.shape[1]
     ratio = (explained / added) / max((1.0 - explained) / slack, 1e-300)
-    probability = float(f_distribution.sf(ratio, added, slack))
+    probability = float(fdtrc(added, slack, ratio))
     alone = np.abs(left.T @ e) / np.sqrt(np.where(new >= ROUNDING, (left**2).sum(axis=0), np.inf))
     lags = rows.stretch(int(np.argmax(alone)), answers_after)
     found = probability < false_alarms and explained >= least

@@ -26,7 +26,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy.ndimage import median_filter
 from scipy.sparse import csr_array
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from loopshape.core.kernels.smoothing import accepted_halves, excesses, smoothing_weights, within_span
 from loopshape.core.units import Array, ComplexArray
@@ -301,7 +301,7 @@ def _nothing_but_noise(excess: Array, groups: int, overlap: float) -> np.ndarray
     """Whether all windows about each group (groups,) leave no more than noise, by its chance over all windows."""
     common = 0.5 * (min(overlap, 1.94) - 1.0)
     freedom = 2.0 * (_WINDOW - _DEGREE - 1) / (1.0 + 2.0 * common**2)
-    good = excess <= chi2.isf(_FALSE_ALARM / excess.size, freedom) / freedom
+    good = excess <= chdtri(freedom, _FALSE_ALARM / excess.size) / freedom
     smooth = np.ones(groups, dtype=bool)
     for k in np.flatnonzero(~good):
         low = min(int(k) * (_WINDOW // 2), groups - _WINDOW)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import fftconvolve
+from scipy.fft import irfft, next_fast_len, rfft
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray
@@ -88,7 +88,9 @@ def _leaked(level: Array) -> Array:
     side = 0.5 / (np.pi * d * (d**2 - 1.0)) ** 2 / 1.5
     kernel = np.concatenate([side[::-1], np.zeros(3), side])
     mirrored = np.concatenate([level[:0:-1], level, level[-2::-1]])  # a real signal's other half
-    out = fftconvolve(mirrored, kernel, mode="same")[level.size - 1 : 2 * level.size - 1]
+    fast = next_fast_len(mirrored.size + kernel.size - 1, real=True)
+    first = (kernel.size - 1) // 2 + level.size - 1
+    out = irfft(rfft(mirrored, fast) * rfft(kernel, fast), fast)[first : first + level.size]
     return np.maximum(out, 0.0)
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import next_fast_len
-from scipy.signal import get_window
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.kernels.spectra import hann, independent_share, line_overlap, period_spectra, segment_spectra
@@ -223,6 +222,8 @@ def window_of(settings: Settings, length: int) -> Array:
     """The window (length,) that settings ask for."""
     if settings.window == "hann" and not settings.symmetric:
         return hann(length)
+    from scipy.signal import get_window
+
     return np.asarray(get_window(settings.window, length, fftbins=not settings.symmetric), dtype=float)
 
 

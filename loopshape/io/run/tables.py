@@ -238,10 +238,24 @@ def _parquet_column(path: Path, name: str, group: int | None = None) -> Array:
         column = whole.column(name)
         kind = column.type
         numbers = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
-        values = np.array(column.cast(pa.float64(), safe=False).to_numpy() if numbers else [], dtype=float)
+        chunks = column.cast(pa.float64(), safe=False).chunks if numbers else []
+        values = np.concatenate([_float64(chunk) for chunk in chunks] or [np.empty(0)])
     if not numbers:
         raise UnreadableInputError(f"column {name} of {path.name} is not of numbers", str(kind), "store it as float64")
     return values
+
+
+def _float64(chunk: Any) -> Array:
+    """An array (n,) of Arrow in numpy, missing values as NaN; its own way there would load pandas."""
+    if not len(chunk):
+        return np.empty(0)
+    known, data = chunk.buffers()
+    rows = slice(chunk.offset, chunk.offset + len(chunk))
+    values = np.frombuffer(data, dtype=float)[rows]
+    if not chunk.null_count:
+        return values
+    bits = np.unpackbits(np.frombuffer(known, dtype=np.uint8), bitorder="little")
+    return np.where(bits[rows] == 1, values, np.nan)
 
 
 def check_sha256(path: Path, found: str, expected: str) -> None:
@@ -292,8 +306,9 @@ def fill_table(
             pq.ParquetWriter(_Hashed(plain, digest.update), schema, **_packing(signals)) as file,
         ):
             for rows in stretches(*signals.values()):
-                table = pa.table([pa.array(np.ascontiguousarray(x)) for x in rows], schema=schema)
-                file.write_table(table, row_group_size=AT_ONCE)
+                columns = [np.ascontiguousarray(x, dtype=float) for x in rows]
+                made = [pa.Array.from_buffers(pa.float64(), x.size, [None, pa.py_buffer(x)]) for x in columns]
+                file.write_table(pa.table(made, schema=schema), row_group_size=AT_ONCE)
 
     put_in_place = fill(path, write)
     return digest.hexdigest(), put_in_place

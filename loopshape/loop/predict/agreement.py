@@ -23,7 +23,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import gamma, norm
+from scipy.special import gammaincc, ndtri
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, from_db
@@ -169,7 +169,7 @@ def _shared_variance(frf: FRF, freedom: float) -> float:
 
 def tail(x: Array, spread: float) -> float:
     """Probability that n values, exponential and correlated so that their sum varies by n `spread`, sum to more."""
-    return float(gamma.sf(x.sum(), x.size / spread, scale=spread))
+    return float(gammaincc(x.size / spread, x.sum() / spread))
 
 
 def bands_of(lines: Lines) -> list[slice]:
@@ -233,5 +233,5 @@ def _noticed(lines: Lines, rows: slice, level: float) -> float:
     """The square of the relative change of the gain that a sum over some lines notices."""
     moved, V = lines.moved[rows], lines.variance[rows]
     per = float(np.sum(np.abs(moved) ** 2 / V))
-    wanted = float(norm.isf(level) + norm.ppf(POWER)) * np.sqrt(lines.spread * V.size) + float(lines.slack[rows].sum())
+    wanted = float(ndtri(POWER) - ndtri(level)) * np.sqrt(lines.spread * V.size) + float(lines.slack[rows].sum())
     return wanted / max(per, 1e-300)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
@@ -44,6 +43,8 @@ class Continued:
 
 def continued(plant: FRF, f: Array, integrators: int, *, smooth: bool = False) -> Continued:
     """The plant (1 x 1, two lines at least) on rising frequencies (nf,) above 0; a `smooth` one by a spline."""
+    from scipy.interpolate import CubicSpline
+
     x, ends = np.log(f), np.log(plant.frequency_hz)
     k = np.clip(np.searchsorted(ends, x, side="right") - 1, 0, ends.size - 2)
     share = np.clip((ends[k + 1] - x) / (ends[k + 1] - ends[k]), 0.0, 1.0)

@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc, fdtri
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.loop.stability.windows import HALF, ORDER, Windows, window_over
@@ -220,7 +220,7 @@ class _Fit:
             if quiet and before - misfit < ONE_MORE + self.looks:
                 break
             z, slack, before = one_more, slack - 2, misfit
-            quiet = misfit < slack * float(f_distribution.isf(FALSE_ALARM, 2 * slack, freedom))
+            quiet = misfit < slack * float(fdtri(2 * slack, freedom, 1.0 - FALSE_ALARM))
             least = min(least, self._chance(none / misfit, z.size, slack))
         if first >= TELLS and none < SCATTERED * first and least > np.log(FALSE_ALARM):
             return z[:0], Residual.SCATTER
@@ -228,8 +228,9 @@ class _Fit:
 
     def _chance(self, fell: float, poles: int, slack: int) -> float:
         """Logarithm of the chance that the misfit of lines without `poles` falls so many times and `slack` are left."""
-        gained = (fell - 1.0) * slack / (2 * poles)
-        return float(f_distribution.logsf(gained, 4 * poles, 2 * slack)) + poles * self.looks
+        gained = max((fell - 1.0) * slack / (2 * poles), 0.0)
+        with np.errstate(divide="ignore"):
+            return float(np.log(fdtrc(4 * poles, 2 * slack, gained))) + poles * self.looks
 
     def with_one_more(self, z: ComplexArray) -> ComplexArray:
         """The best poles (m + 1,) that grow from z (m,)."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.identify.smooth.pole_terms import CAREFUL, ROUNDED
@@ -111,11 +111,11 @@ def _remembered(
     windows = windows_of(lines, np.frombuffer(P, dtype=complex), np.frombuffer(variance))
     share = FALSE_ALARM / (_TESTS * windows.gap.size)
     freedom = min(freedom, 1e9)
-    threshold = float(f_distribution.isf(share, 2, freedom))
+    threshold = float(fdtri(2, freedom, 1.0 - share))
     significance, visible, misfit = _screen(windows)
     found = [_pole(windows[int(k)], threshold, unstable) for k in np.flatnonzero(significance > threshold)]
     poles = _apart([pole for pole in found if pole is not None])
-    residual = _unexplained(windows, poles, misfit, LEFT * float(f_distribution.isf(share, 2 * LEFT, freedom)))
+    residual = _unexplained(windows, poles, misfit, LEFT * float(fdtri(2 * LEFT, freedom, 1.0 - share)))
     visible = (np.sqrt(threshold) + SURE) * visible
     visible[[0, -1]] = np.inf
     scatter = _scattered(windows, misfit, residual)

@@ -9,7 +9,7 @@ that changes with the amplitude no silent line tells.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from loopshape.core.units import Array
 from loopshape.identify.quality.distortion import CHANCE, Lines
@@ -69,6 +69,6 @@ def _level(first: FirstRecord, silent: Lines) -> float | None:
     noise = 2.0 * np.exp(np.interp(*near, np.log(first.noise))) / (period_s * found.periods)
     clear = float(np.mean(silent.amplitude**2 / size) / np.mean(noise / size)) if np.all(noise > 0.0) else np.inf
     freedom = 2.0 * float(np.interp(*near, first.averages).mean())
-    if fisher.sf(clear, 2 * f.size, freedom) >= CHANCE:
+    if fdtrc(2 * f.size, freedom, clear) >= CHANCE:
         return 0.0
     return float(np.sqrt(max(float(np.mean((silent.amplitude**2 - noise) / size)), 0.0)))

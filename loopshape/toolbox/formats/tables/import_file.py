@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.stretches import LongColumns, LongSignal, Signal, stretches
@@ -191,6 +190,8 @@ def _evenly(
     slack = ON_GRID + found.unsure
     if abs(found.rate_hz / rate_hz - 1.0) * stamps.size <= slack and found.rounding_alone:
         return columns, f"not resampled: {scatter}, which is {rate_hz:g} Hz"
+    from scipy.interpolate import make_interp_spline
+
     times = np.arange(stamps.size) / found.rate_hz if found.rounding_alone else stamps - stamps[0]
     grid = np.arange(_rows(times, rate_hz, file)) / rate_hz
     made = {

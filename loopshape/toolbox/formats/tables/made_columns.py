@@ -15,7 +15,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import lfilter
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.stretches import LongSignal, Signal
@@ -172,6 +171,8 @@ def _text(terms: Terms) -> str:
 
 def answered(controller: Controller, error: np.ndarray) -> np.ndarray:
     """What a controller's sections answer (n,) to an error (n,), from rest."""
+    from scipy.signal import lfilter
+
     out = np.asarray(error, dtype=float)
     for b0, b1, b2, a1, a2 in controller.biquads():
         out = np.asarray(lfilter([b0, b1, b2], [1.0, a1, a2], out))

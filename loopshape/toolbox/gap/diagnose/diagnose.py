@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from loopshape.core.units import Array
 from loopshape.data.signal.recording import Recording
@@ -356,7 +356,7 @@ def ranked(a: Attribution) -> list[Ranked]:
             out.append(Ranked(name, probability))
             continue
         n = len(a.evidence.recordings)
-        width = float(student.ppf(0.975, n - 1)) if n > 1 else float("nan")
+        width = float(stdtrit(n - 1, 0.975)) if n > 1 else float("nan")
         parts = {
             f.effect: (m, (m - width * d, m + width * d) if n > 1 else None, f.unit)
             for f, m, d in zip(forms, found.fitted.magnitudes, found.deviations, strict=True)

@@ -11,9 +11,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
@@ -139,6 +138,8 @@ def _interpolated(coarse: FRF, fine: FRF) -> tuple[FRF, FRF] | None:
 
     What the cubic may miss counts in the variance: a quarter at most of what one over every second line misses.
     """
+    from scipy.interpolate import CubicSpline
+
     f, g, G = coarse.frequency_hz, fine.frequency_hz, fine.siso
     above = np.clip(np.searchsorted(g, f), 1, g.size - 1)
     near = above - (f - g[above - 1] < g[above] - f)
@@ -214,12 +215,12 @@ def _gain(one: FRF, two: FRF, pair: tuple[Resonance, Resonance] | None) -> Chang
 
 def _bend(change: float, std: float, least: float, kinds: tuple[Bend, Bend]) -> Bend:
     """The kind for a rise or a fall, linear where chance or an estimator's bias explains it."""
-    if abs(change) <= least + float(norm.isf(0.5 * CHANCE)) * std:
+    if abs(change) <= least + float(-ndtri(0.5 * CHANCE)) * std:
         return Bend.LINEAR
     return kinds[0] if change > 0.0 else kinds[1]
 
 
 def _interval(change: float, std: float) -> tuple[float, float]:
     """Of 95 %."""
-    half = float(norm.ppf(0.975) * std)
+    half = float(ndtri(0.975) * std)
     return change - half, change + half

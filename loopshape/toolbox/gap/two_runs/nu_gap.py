@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, deg
@@ -141,7 +141,7 @@ def _greatest(size: Array, std: Array, first: FRF, second: FRF) -> tuple[float, 
     freedom = min(first.variance_freedom, second.variance_freedom, 1e6)
 
     def quantile(p: float, lines: int) -> float:
-        return float(student.ppf(p ** (1.0 / max(lines / overlap, 1.0)), freedom))
+        return float(stdtrit(freedom, p ** (1.0 / max(lines / overlap, 1.0))))
 
     wide = quantile(0.975, size.size)
     held = size >= (size - wide * std).max() - 2.0 * wide * std

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as fisher
+from scipy.special import fdtrc
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array, ComplexArray, db, deg
@@ -245,7 +245,7 @@ def _significance(frfs: PathFrfs, power: Array) -> tuple[float, float]:
         spread = float(np.mean(share**2) / np.mean(share) ** 2) / (1.0 + 2.0 / frfs.own_freedom)
         lines = max(lines / max(spread, 1.0), 1.0)
         freedom = frfs.own_freedom * lines
-    return z2, float(fisher.sf(z2, 2.0 * lines, freedom))
+    return z2, float(fdtrc(2.0 * lines, freedom, z2))
 
 
 def _mean_log_ratio(real: ComplexArray, sim: ComplexArray) -> complex:

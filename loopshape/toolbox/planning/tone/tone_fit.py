@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky_banded, solve_banded
-from scipy.optimize import least_squares
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 
@@ -97,6 +96,8 @@ def _block_gain(exponent_per_s: complex, hop: int, rate_hz: float) -> complex:
 
 def _exponential(z: ComplexArray, t: Array) -> tuple[complex, float, float, Array, Array]:
     """c, growth, offset in Hz of the least squares c exp((g + 2 pi i d)t) to z; Jacobian and what is left, whitened."""
+    from scipy.optimize import least_squares
+
     length = float(t[-1] - t[0])
     factor = cholesky_banded(np.vstack([np.ones(z.size), np.full(z.size, OVERLAP)]), lower=True)
 

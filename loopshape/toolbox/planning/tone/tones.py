@@ -21,8 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d
-from scipy.stats import gamma
-from scipy.stats import t as student
+from scipy.special import gammainc, stdtrit
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.noise import rms_interval
@@ -177,8 +176,8 @@ def _less(values: Array, fits: Sequence[ToneFit], where: Sequence[_Candidate]) -
 
 
 def _tone(fit: ToneFit, one: _Candidate, chance: float) -> Tone:
-    wide = float(student.ppf(0.975, fit.freedom))
-    sure = float(student.ppf(1.0 - 0.5 * chance, fit.freedom)) * fit.growth_std_per_s
+    wide = float(stdtrit(fit.freedom, 0.975))
+    sure = float(stdtrit(fit.freedom, 1.0 - 0.5 * chance)) * fit.growth_std_per_s
     sure += LEAST_GROWTH_DB * float(np.log(10.0)) / 20.0 * fit.rate_hz / (one.stop - one.start)
     g, f, a = fit.growth_per_s, fit.frequency_hz, fit.amplitude
     return Tone(
@@ -315,7 +314,7 @@ def _larger_of_two(count: int) -> tuple[Array, Array]:
     """Levels of the larger of two means of `count` lines of noise of mean 1, and the share of each."""
     m = count * INDEPENDENT
     edges = np.linspace(0.0, 1.0, 400) ** 3 * (1.0 + 12.0 / np.sqrt(m))
-    return 0.5 * (edges[1:] + edges[:-1]), np.diff(gamma.cdf(edges, m, scale=1.0 / m) ** 2)
+    return 0.5 * (edges[1:] + edges[:-1]), np.diff(gammainc(m, m * edges) ** 2)
 
 
 def _variance_of_power(values: Array, rest: Array) -> float:
