@@ -273,6 +273,7 @@ def main() -> None:
     line("first call, empty cache, Python's start included", first_call(False), "s")
     line("  filled cache", first_call(True), "s")
     start_up()
+    tour()
     frf()
     long_recording()
     million()
@@ -294,6 +295,14 @@ def start_up() -> None:
     line("loopshape --help", help_s, f"s, {help_s / bare:.2f} of an interpreter with typer and rich")
     import_s, empty = interleaved(process("import loopshape"), process("pass"))
     line("import loopshape", import_s - empty, f"s beside an empty interpreter's {empty:.3f}")
+
+
+def tour() -> None:
+    """Each command of the tour on the motor bench against loading what it stands on."""
+    from tour_workload import table
+
+    for name, taken, bare in table():
+        line(f"tour, {name}, warm", taken, f"s of CPU, {taken / bare:.2f} times loading what it stands on")
 
 
 def frf() -> None:

@@ -22,7 +22,6 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import types
 from numba.core.compiler import CompileResult
 from numba.core.runtime import rtsys
 from numpy.typing import NDArray
@@ -71,8 +70,8 @@ def _share_forms(dispatcher: Any, written: tuple[str, ...] | None) -> None:
     names, template = list(inspect.signature(dispatcher.py_func).parameters), dispatcher.get_call_template
 
     def shared(name: str, kind: Any) -> Any:
-        only_read = written is not None and name not in written and isinstance(kind, types.Array)
-        return kind.copy(readonly=True) if only_read else types.unliteral(kind)
+        only_read = written is not None and name not in written and isinstance(kind, numba.types.Array)
+        return kind.copy(readonly=True) if only_read else numba.types.unliteral(kind)
 
     def plain(args: Any, kws: Any) -> Any:
         by_place = [shared(name, kind) for name, kind in zip(names, args, strict=False)]

@@ -105,6 +105,31 @@ except SystemExit:
     assert done.stderr.strip() == "[]"
 
 
+def test_a_recording_becomes_an_frf_without_what_only_other_methods_need(tmp_path: Path) -> None:
+    """Each of these packages takes half a second to load."""
+    folder, bench = tmp_path / "bench", ROOT / "examples" / "motor_bench"
+    words = f"""
+import sys
+from loopshape.cli import script
+for words in (
+    ["import", {str(bench / "multisine_type_a.parquet")!r}, "--map", {str(bench / "map.toml")!r}, "--out", "bench"],
+    ["frf", "bench", "--no-figures"],
+):
+    sys.argv = ["loopshape", *words]
+    try:
+        script()
+    except SystemExit as ended:
+        assert not ended.code
+heavy = ("scipy.stats", "scipy.signal", "scipy.interpolate", "pandas", "matplotlib", "control", "numba.np.arraymath")
+print([m for m in heavy if m in sys.modules], file=sys.stderr)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, check=True, timeout=120, cwd=tmp_path
+    )
+    assert (folder / "frf").is_dir()
+    assert done.stderr.strip() == "[]"
+
+
 BOXES = [name for name in found().toolboxes if hasattr(ls, name)]
 EVERY = [name for name in dir(ls) if name != "__version__"]
 EVERY += [f"{box}.{name}" for box in ("errors", *BOXES) for name in dir(getattr(ls, box))]
