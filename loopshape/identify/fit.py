@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -42,6 +43,7 @@ def fit(
     weighting: str = "variance",
     band_hz: tuple[float, float] | None = None,
     stable: bool | None = None,
+    hopeless: float = np.inf,
 ) -> Fit:
     """Fit a structure to the valid lines of a 1 x 1 FRF, or to those in `band_hz`.
 
@@ -51,6 +53,9 @@ def fit(
     `variance` weights each line by its own variance: parameters of least spread if the structure is right.
     `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the
     residual test still compares with the variance. Sources: Pintelon and Schoukens (2012), chapters 8, 9.
+
+    A start of a rational structure that `PATIENCE` evaluations leave above the sum of squares `hopeless` is given up;
+    raises `TooFarError` where all of them are.
 
     Misleads where the structure is wrong: intervals say how well the numbers are pinned, not how true they
     are; `sufficient` and `misfit_db` tell.
@@ -79,7 +84,7 @@ def fit(
     data = Data(G, variance, lines.line_overlap, lines.variance_freedom, lines.variance_pooled)
     if isinstance(structure, Rational):
         model, slopes = partial(structure.response, f=f), partial(structure.slopes, f=f)
-        solution = solve(model, starts, (low, high), data, weight_variance, slopes)
+        solution = solve(model, starts, (low, high), data, weight_variance, slopes, hopeless)
     else:
         solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
     return _fit(structure, solution, lines, frf.digest)
@@ -187,7 +192,14 @@ def fit_best(
         total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
         return total + count * float(np.log(2 * found.lines / frf.line_overlap))
 
-    made = [fit(frf, structure, weighting=weighting, band_hz=band_hz, stable=stable) for structure in structures]
+    made: list[Fit] = []
+    hopeless = np.inf
+    for structure in reversed(structures):  # the richest first: most others come nowhere near
+        with suppress(TooFarError):
+            found = fit(frf, structure, weighting=weighting, band_hz=band_hz, stable=stable, hopeless=hopeless)
+            made.insert(0, found)
+            if weighting == "variance":  # what the criterion counts
+                hopeless = min(hopeless, FAR * max(found.chi2_per_dof, 1.0) * (2 * found.lines - len(found.parameters)))
     good = [found for found in made if found.outcome == "converged"] or made
     least = min(criterion(found) for found in good)
     near = [found for found in good if criterion(found) <= least + 10.0]
@@ -260,6 +272,14 @@ def _pairs(polynomial: Array) -> Array:
     return np.stack([np.abs(keep) / TWO_PI, -keep.real / np.abs(keep)], axis=1).ravel()
 
 
+#: evaluations after which a start is given up whose sum of squares is so many times that of another structure
+PATIENCE, FAR = 50, 10.0
+
+
+class TooFarError(Exception):
+    """No start of a structure came near what another structure leaves."""
+
+
 #: chi²/dof below which what is left is no noise of the stated variance, but rounding: its signs tell nothing
 NO_NOISE = 1e-6
 #: sums of squares that differ by less are those of one minimum
@@ -302,6 +322,7 @@ def solve(
     data: Data,
     weight_variance: Array,
     slopes: Callable[[Array], ComplexArray] | None = None,
+    hopeless: float = np.inf,
 ) -> Solution:
     """Fit `model(x)` (nf,) to the data, weighted by 1/`weight_variance` (nf,), from the best of several starts.
 
@@ -317,20 +338,31 @@ def solve(
 
     def residual(x: Array) -> Array:
         r = (model(x) - data.response) / scale
-        return np.concatenate([r.real, r.imag])
+        flat = np.concatenate([r.real, r.imag])
+        tried.append(float(flat @ flat))
+        if slopes and len(tried) > PATIENCE and min(tried) > hopeless:
+            raise TooFarError
+        return flat
 
     def jacobian(x: Array) -> Array:
         J = slopes(x) / scale[:, None]  # type: ignore[misc]
         return np.concatenate([J.real, J.imag])
 
     def one(start: Array) -> Any:
+        tried.clear()
         size = np.maximum(np.abs(start), 1e-3)
         return least_squares(
             residual, start, jacobian if slopes else "2-point", bounds=bounds, x_scale=size, xtol=1e-12, ftol=1e-12,
             gtol=1e-12,
         )  # fmt: skip
 
-    ends = [one(start) for start in starts]
+    tried: list[float] = []
+    ends = []
+    for start in starts:
+        with suppress(TooFarError):
+            ends.append(one(start))
+    if not ends:
+        raise TooFarError
     found = min(ends, key=lambda result: result.cost)
     agreeing = sum(end.cost <= SAME * found.cost + data.response.size * NO_NOISE for end in ends)
     left = (model(found.x) - data.response) / np.sqrt(0.5 * data.variance)
