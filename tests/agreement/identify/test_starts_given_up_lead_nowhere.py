@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from loopshape.data.response.frf import FRF
+import loopshape as ls
 from loopshape.identify import fit as module
 from loopshape.identify.structures import Rational
 
 
-def two_masses(noise: float) -> FRF:
+def two_masses(noise: float) -> ls.FRF:
     """A flexible axis with an antiresonance at 30 Hz and a resonance at 50 Hz, with noise of this relative size."""
     f = np.geomspace(3.0, 200.0, 80)
     s = 2j * np.pi * f
@@ -18,7 +18,7 @@ def two_masses(noise: float) -> FRF:
     rng = np.random.default_rng(7)
     variance = (noise * np.abs(G)) ** 2
     G = G + np.sqrt(0.5 * variance) * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
-    return FRF.from_arrays(f, G, std=np.sqrt(variance))
+    return ls.FRF.from_arrays(f, G, std=np.sqrt(variance))
 
 
 def test_the_chosen_fit_is_the_one_without_giving_up(monkeypatch):
