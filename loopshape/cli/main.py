@@ -83,7 +83,14 @@ class Grouped(TyperGroup):
                 formatter.write_dl(rows, col_max=20)
 
 
-app = typer.Typer(cls=Grouped, help=HELP, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(
+    cls=Grouped,
+    help=HELP,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"max_content_width": 120},  # a wide terminal shows each option on one line
+)
 
 
 def _add(command: Command, function: Any) -> None:

@@ -26,7 +26,7 @@ def shape(
     out: Annotated[Path | None, typer.Option(help="The page to write; default: shape.html in the run.")] = None,
     serve: Annotated[
         bool,
-        typer.Option("--serve", help="Serve the page on this machine alone, with buttons to check, tune and save."),
+        typer.Option("--serve", help="Serve the page on this machine alone, with check, tune and save."),
     ] = False,
     save: Annotated[
         Path | None, typer.Option(help="With --serve: where Save writes; default: controller.toml in the run.")

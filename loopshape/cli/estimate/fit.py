@@ -27,7 +27,7 @@ def fit(
         bool | None,
         typer.Option(
             "--stable/--any-poles",
-            help="rational: no pole in the right half plane. Default as declared by --require, else in open loop.",
+            help="rational: no pole in the right half plane; default by --require.",
         ),
     ] = None,
     require: Annotated[

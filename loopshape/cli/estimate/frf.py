@@ -20,13 +20,13 @@ def frf(
     run: RunFolder,
     estimator: Annotated[
         str,
-        typer.Option(help="reference (or joint), direct (biased under feedback); in open loop h1, h2 or hv too."),
+        typer.Option(help="reference, joint, direct (biased by feedback); open loop: h1, h2, hv."),
     ] = "reference",
     method: Annotated[str, typer.Option(help="auto, welch, or local; for records without a period.")] = "auto",
     resolution_hz: Annotated[float | None, typer.Option(help="Frequency resolution; default by the record.")] = None,
     overlap: Annotated[float, typer.Option(min=0.0, max=0.9, help="Overlap of Welch's segments.")] = 0.75,
     window: Annotated[
-        str, typer.Option(help="Welch: hann, hamming, blackman, blackmanharris, bartlett, flattop or boxcar.")
+        str, typer.Option(help="Welch: hann, hamming, blackman(harris), bartlett, flattop, boxcar.")
     ] = "hann",
     symmetric: Annotated[bool, typer.Option("--symmetric", help="The window's symmetric form, not periodic.")] = False,
     detrend: Annotated[str, typer.Option(help="Taken off each of Welch's segments: mean, linear, or none.")] = "mean",
@@ -39,9 +39,7 @@ def frf(
     matrix: Annotated[bool, typer.Option("--matrix", help="Estimate the plant's matrix of all loops too.")] = False,
     renew: Annotated[
         Path | None,
-        typer.Option(
-            help="An earlier run of the same plant: its FRFs with this run's valid frequencies in their band."
-        ),
+        typer.Option(help="An earlier run of the plant whose FRFs this run's valid band renews."),
     ] = None,
     csv: Annotated[bool, typer.Option("--csv", help="Write each FRF as a table too.")] = False,
     figures: Annotated[bool, typer.Option(help="Draw a page for each FRF, and an overview of each loop.")] = True,

@@ -160,3 +160,10 @@ def test_every_command_has_an_example_that_it_takes(name):
     assert (program, first) == ("loopshape", name)
     assert command.make_context(name, words).info_name == name
     assert example.split()[-1] in loopshape(name, "--help")[1]
+
+
+def test_each_option_is_said_in_one_line():
+    """72 characters: with its name one line of a terminal of 110 columns, whatever its default adds."""
+    commands = typer.main.get_command(app).commands
+    said = {f"{name} {p.opts[0]}": p.help or "" for name, command in commands.items() for p in command.params}
+    assert {key: words for key, words in said.items() if len(words) > 72 or "\n" in words} == {}

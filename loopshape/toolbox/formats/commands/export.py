@@ -16,12 +16,11 @@ if TYPE_CHECKING:
     from loopshape.toolbox.formats.controllers.limited import OutputLimits
 
 BACK = "back_calculation"
-TO_CONTROLLER = "json, matlab, simulink, c, st, twincat, foton, sos, px4, ardupilot, betaflight, odrive or sercos."
 
 
 def export(
     run: RunFolder,
-    to: Annotated[str, typer.Option(help="mat (MATLAB), hdf5, csv, or uff (universal file 58; needs the extra uff).")],
+    to: Annotated[str, typer.Option(help="mat (MATLAB), hdf5, csv, or uff (type 58; needs the extra uff).")],
     out: Annotated[Path | None, typer.Option(help="Folder to write into; default: export in the run.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -49,12 +48,12 @@ def export(
 
 def export_controller(
     controller: Annotated[Path, typer.Argument(help="A controller file, as tune writes it.", show_default=False)],
-    to: Annotated[str, typer.Option(help=TO_CONTROLLER)],
+    to: Annotated[str, typer.Option(help="The program or machine that it is for, as listed above.")],
     out: Annotated[Path, typer.Option(help="Folder to write into, one file a loop.")],
     diagram: DiagramFile = None,
     run: Annotated[Path | None, typer.Option(help="With --diagram: the run that holds the FRFs of its plants.")] = None,
     limits: Annotated[
-        str | None, typer.Option(help="Output limits LOW:HIGH, or LOW:HIGH:RATE a second (c, st, twincat, json).")
+        str | None, typer.Option(help="Output limits LOW:HIGH or LOW:HIGH:RATE per s (c, st, twincat, json).")
     ] = None,
     anti_windup: Annotated[str, typer.Option(help="With --limits: back_calculation or conditional.")] = BACK,
     as_json: AsJson = False,
@@ -64,6 +63,8 @@ def export_controller(
 
     With --diagram the file's controller is that of its tuned block, and all blocks are written with one step that leads
     from what is measured to what enters the plants (c or json).
+
+    Of --to: json, matlab, simulink, c, st, twincat, foton, sos, px4, ardupilot, betaflight, odrive or sercos.
     """
     from loopshape.data.control.controller import Controller
 
@@ -166,7 +167,7 @@ def firmware(
     axis: Annotated[str, typer.Option(help="roll, pitch or yaw; of drives position, velocity or current.")] = "roll",
     notch: Annotated[
         list[str] | None,
-        typer.Option(help="A dynamic notch in flight, FREQUENCY:WIDTH in Hz (betaflight: FREQUENCY:Q); repeatable."),
+        typer.Option(help="A dynamic notch, FREQUENCY:WIDTH in Hz (betaflight: FREQUENCY:Q)."),
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,

@@ -30,20 +30,18 @@ def gap(
     report: Annotated[Path | None, typer.Option(help="Write the figure to this file (.png).")] = None,
     next_study: Annotated[
         Path | None,
-        typer.Option("--next", help="Write the experiment that best separates the two leading hypotheses (TOML)."),
+        typer.Option("--next", help="Write the experiment that best separates the two leading hypotheses."),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option(help="A machine of your own (model.toml); the Python file that it names is run.")
+        Path | None, typer.Option(help="A machine of your own (model.toml); its Python file is run.")
     ] = None,
     baseline: Annotated[
         Path | None,
-        typer.Option(help="With --model, a run of a machine known to be good: what the model leaves there is no gap."),
+        typer.Option(help="With --model: a run of a good machine; what is left there is no gap."),
     ] = None,
     identifiable: Annotated[
         bool,
-        typer.Option(
-            "--identifiable", help="Before a diagnosis: how small each effect may be to be seen, and its twins."
-        ),
+        typer.Option("--identifiable", help="Smallest visible size of each effect, and its twins; no diagnosis."),
     ] = False,
     quick: Annotated[bool, typer.Option("--quick", help="Leave the closed-loop gap table out.")] = False,
     details: Details = False,

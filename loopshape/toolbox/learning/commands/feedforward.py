@@ -28,7 +28,7 @@ def feedforward(
     controller: Annotated[Path | None, typer.Option(help="A controller file: predict the error of --move.")] = None,
     move: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(help="Third-order setpoint: distance, velocity, acceleration and jerk, in the output's unit."),
+        typer.Option(help="Third-order setpoint: distance, velocity, acceleration, jerk."),
     ] = None,
     figures: Annotated[bool, typer.Option(help="Draw the inverse's error, the taps, the error of the move.")] = True,
     as_json: AsJson = False,

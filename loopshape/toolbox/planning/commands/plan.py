@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 #: lines of the table that are shown, the crossover's among them
 SHOWN = 12
-_LIMIT = "in the unit of its column (rad, V, ...)"
+_LIMIT = "in its column's unit"
 
 
 def plan(
@@ -29,7 +29,7 @@ def plan(
         Path | None, typer.Option(help="A controller file for the crossover; default: the run's own.")
     ] = None,
     max_amplitude: Annotated[
-        float | None, typer.Option(help=f"Largest injected peak, {_LIMIT}; default: that of the recording.")
+        float | None, typer.Option(help=f"Largest injected peak, {_LIMIT}; default: the recording's.")
     ] = None,
     max_input: Annotated[float | None, typer.Option(help=f"Largest plant input with its rest, {_LIMIT}.")] = None,
     max_output: Annotated[float | None, typer.Option(help=f"Largest excursion of the output, {_LIMIT}.")] = None,

@@ -19,8 +19,7 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="NAME[=MAGNITUDE]",
-            help="What the nominal model leaves out; again for more. NAME alone is a usual magnitude, NAME:2 form 2;"
-            " loopshape effects lists them.",
+            help="An effect that the nominal model leaves out (loopshape effects).",
         ),
     ] = None,
     controllers: ControllersFile = None,
