@@ -21,14 +21,15 @@ from os import PathLike
 from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
+from loopshape.data.requirement.requirements import TOGETHER
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import line_text, stability_text
-from loopshape.io.requirements import read_requirements
-from loopshape.io.write.check_files import Baseline, LoopCheck, against, check_files
+from loopshape.io.requirements import read_required
+from loopshape.io.write.check_files import Baseline, Checks, against, check_all
 from loopshape.view.verdict.tables import comparison_text
 
 AnyPath = str | PathLike[str]
-STABILITY = "stability"
+STABILITY, ALL = "stability", "all loops"
 
 
 def assert_controller(
@@ -48,7 +49,7 @@ def assert_controller(
     """
     __tracebackhide__ = True
     test = ControllerTest(run, controller, require)
-    compared = None if baseline is None else against(Path(baseline), test.loops)
+    compared = None if baseline is None else against(Path(baseline), test.checks.loops)
     worse = compared is not None and compared.worse and not allow_worse
     if not all(one.passed for one in test.verdicts) or worse:
         raise AssertionError(test.message(compared))
@@ -65,22 +66,24 @@ class ControllerTest:
 
     @cached_property
     def cases(self) -> tuple[str, ...]:
-        """Each requirement as "loop: quantity", and the stability of each loop as "loop: stability"."""
-        return tuple(
-            f"{required.loop}: {name}"
-            for required in read_requirements(self.require)
-            for name in (*required.limited(), STABILITY)
-        )
+        """Each requirement as "loop: quantity", and the stability of each loop as "loop: stability".
+
+        What [several] asks of all loops at once is "all loops: quantity".
+        """
+        loops, together = read_required(self.require)
+        asked = [(one.loop, one.limited()) for one in loops]
+        asked += [] if together is None else [(ALL, tuple(x.name for x in TOGETHER if getattr(together, x.name)))]
+        return tuple(f"{loop}: {name}" for loop, limits in asked for name in (*limits, STABILITY))
 
     @cached_property
-    def loops(self) -> tuple[LoopCheck, ...]:
-        """Each loop's check."""
-        return check_files(self.run, self.controller, self.require)
+    def checks(self) -> Checks:
+        """What was checked, loop by loop or all at once."""
+        return check_all(self.run, self.controller, self.require)
 
     @property
     def verdicts(self) -> tuple[Verdict, ...]:
-        """Each loop's verdict."""
-        return tuple(loop.verdict for loop in self.loops)
+        """Each loop's verdict, and then that on all together."""
+        return self.checks.verdicts
 
     def assert_case(self, case: str) -> None:
         """Assert one of `cases`; refuses one that is not among them."""
@@ -88,7 +91,7 @@ class ControllerTest:
         if case not in self.cases:
             raise WrongUseError("a case is not one of the requirements", repr(case), f"use {', '.join(self.cases)}")
         loop, _, quantity = case.rpartition(": ")
-        verdict = next(v for v in self.verdicts if v.loop == loop)
+        verdict = next(v for v in self.verdicts if v.loop == loop or (loop == ALL and v.together))
         text = _stability(verdict) if quantity == STABILITY else _line(verdict, quantity)
         if text:
             raise AssertionError(text)

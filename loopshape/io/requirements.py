@@ -10,6 +10,8 @@ from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.io.config_table import read_file, refuse_doubles
+from loopshape.io.files import write_toml
+from loopshape.io.schema import table_of
 
 FORMAT = "loopshape-requirements/1"
 PROFILES = "loopshape-profiles/1"
@@ -46,6 +48,29 @@ def read_required(path: Path) -> tuple[tuple[Requirements, ...], Requirements | 
     return found.loop, found.several
 
 
+def write_requirements(path: Path, requirements: Sequence[Requirements]) -> None:
+    """Write requirements whole, one a loop; one without a name is what all loops keep together.
+
+    Refuses none with a name, two of one name, and weights that are systems or functions.
+    """
+    loops = [one for one in requirements if one.loop]
+    rest = [one for one in requirements if not one.loop]
+    if len(rest) > 1 or not loops:
+        raise WrongUseError(
+            "requirements in a file have the names of their loops", f"{len(rest)} without one", 'give it: loop = "..."'
+        )
+    RequirementsFile(tuple(loops), *rest)
+    several = {k: v for one in rest for k, v in one.to_table().items() if k != "name"}
+    table = {"format": FORMAT, "loop": [one.to_table() for one in loops]}
+    write_toml(path, table | ({"several": several} if rest else {}))
+
+
+def read_whole(path: Path) -> tuple[Requirements, ...]:
+    """What a file requires of each loop, and last, without a name, of all together where it has a table `[several]`."""
+    loops, together = read_required(path)
+    return loops if together is None else (*loops, together)
+
+
 @dataclass(frozen=True)
 class ProfilesFile:
     """The profiles of a file."""
@@ -61,6 +86,12 @@ class ProfilesFile:
 def read_profiles(path: Path = OWN) -> dict[str, Profile]:
     """Profiles of a file by name; refuses another format, unknown and missing keys, and two of one name."""
     return {one.name: one for one in read_file(path, ProfilesFile, PROFILES).profile}
+
+
+def write_profiles(path: Path, profiles: Sequence[Profile]) -> None:
+    """Write profiles whole; refuses none, and two of one name."""
+    ProfilesFile(tuple(profiles))
+    write_toml(path, {"format": PROFILES, "profile": [table_of(one) for one in profiles]})
 
 
 def profile_of(name_or_file: str) -> Profile:

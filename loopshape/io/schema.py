@@ -86,7 +86,9 @@ def table_of(noun: Any) -> dict[str, Any]:
 def _plain(value: Any) -> Any:
     if isinstance(value, tuple):
         return [_plain(one) for one in value]
-    return value.to_table() if hasattr(value, "to_table") else value
+    if hasattr(value, "to_table"):
+        return value.to_table()
+    return table_of(value) if is_dataclass(value) else value
 
 
 def keys(kind: type) -> list[str]:
@@ -113,17 +115,20 @@ def _converter(own: bool) -> Any:
         made.register_structure_hook(kind, _scalar(kind, own))
     made.register_structure_hook_factory(lambda hint: get_origin(hint) is Annotated, lambda hint: _bounded(hint, made))
     made.register_structure_hook_factory(_is_marked, lambda hint: _marked(hint, made))
-    made.register_structure_hook_func(lambda hint: isinstance(hint, type) and issubclass(hint, StrEnum), _word)
     made.register_structure_hook_factory(lambda hint: get_origin(hint) in _LISTS, lambda hint: _list(hint, made))
     made.register_structure_hook_func(lambda hint: getattr(hint, "__origin__", hint) is np.ndarray, _array)
     made.register_structure_hook_factory(lambda hint: get_origin(hint) is Mapping, lambda hint: _mapping(hint, made))
-    made.register_structure_hook(complex, lambda value, _: complex(value))
+    made.register_structure_hook(
+        complex, lambda value, _: complex(*value) if isinstance(value, list) else complex(value)
+    )
     made.register_structure_hook_factory(is_dataclass, lambda kind: _noun(kind, made))
     return made
 
 
 def _scalar(kind: Any, own: bool) -> Callable[[Any, Any], Any]:
-    def taken(value: Any, _: Any) -> Any:
+    def taken(value: Any, hint: Any) -> Any:
+        if issubclass(hint, StrEnum):  # which is a text's kind to the converter
+            return _word(value, hint)
         if own and kind is float and isinstance(value, str):
             with suppress(ValueError):
                 return float(value)

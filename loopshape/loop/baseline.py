@@ -10,10 +10,10 @@ from statistics import NormalDist
 import numpy as np
 
 from loopshape.core.outcomes import Change, ClosedLoop
-from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.requirements import LIMITS, Limit
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.requirement.requirements import LIMIT_OF, Limit
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.baseline import Checked, Comparison, LineChange, MarginChange, StabilityChange
+from loopshape.data.result.baseline import Comparison, LineChange, MarginChange, StabilityChange
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 
@@ -21,12 +21,6 @@ from loopshape.data.result.verdict import RequirementResult, Verdict
 TINY = 1e-4
 #: chance that any margin is called changed although none has
 FALSE_ALARM = 0.05
-
-
-def checked(verdict: Verdict, controller: Controller, frfs: Sequence[FRF]) -> Checked:
-    """A verdict with what it was made from; `frfs` are those that were checked, in the same order."""
-    marks = [data_mark(frf) for frf in frfs]
-    return Checked(verdict, controller, dict(zip(verdict.margins, marks, strict=True)))
 
 
 def data_mark(frf: FRF) -> str:
@@ -37,14 +31,16 @@ def data_mark(frf: FRF) -> str:
     """
     size = np.abs(frf.response)
     turn = np.round(frf.response / np.where(size > 0.0, size, 1.0), 5)
-    numbers = [*frf.frequency_hz.ravel(), *size.ravel()]
-    turns = [*turn.real.ravel(), *turn.imag.ravel()]
-    text = " ".join([*(f"{x:.6g}" for x in numbers), *(f"{x + 0.0:.5f}" for x in turns)])  # + 0: no negative zero
+    numbers = (*frf.frequency_hz.tolist(), *size.ravel().tolist())
+    turns = (*(turn.real.ravel() + 0.0).tolist(), *(turn.imag.ravel() + 0.0).tolist())  # + 0: no negative zero
+    text = " ".join(["%.6g"] * len(numbers) + ["%.5f"] * len(turns)) % (*numbers, *turns)
     return sha256(text.encode()).hexdigest()[:16]
 
 
-def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
+def compare(before: Sequence[Verdict], now: Sequence[Verdict]) -> Comparison:
     """What became of a baseline, loop by loop and operating point by operating point.
+
+    A verdict on several loops is compared in its parts: that on each, and that on all together.
 
     Where both verdicts come from the same data, their errors are common: whatever changed is the controller's (or the
     program's), and no interval hides it. Else the change's interval is had from both margins' own by recovering their
@@ -56,10 +52,10 @@ def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
     On the same data the change of the estimate is certain, that of the true margin a little less: the errors cancel
     fully only where both margins are read at the same frequency.
     """
-    mine, theirs = {c.verdict.loop: c for c in now}, {c.verdict.loop: c for c in before}
+    mine, theirs = _parts(now), _parts(before)
     both = [loop for loop in mine if loop in theirs]
-    lines = [x for loop in both for x in _lines(loop, theirs[loop].verdict, mine[loop].verdict)]
-    stabilities = [x for loop in both for x in _stabilities(loop, theirs[loop].verdict, mine[loop].verdict)]
+    lines = [x for loop in both for x in _lines(loop, theirs[loop], mine[loop])]
+    stabilities = [x for loop in both for x in _stabilities(loop, theirs[loop], mine[loop])]
     pairs = [pair for loop in both for pair in _pairs(theirs[loop], mine[loop])]
     margins = _compared(pairs)
     moved = {change.loop for change in margins if change.outcome is not Change.UNCHANGED}
@@ -74,25 +70,37 @@ def compare(before: Sequence[Checked], now: Sequence[Checked]) -> Comparison:
     )
 
 
-def bridge(before: Sequence[Checked], now: Sequence[Checked]) -> tuple[str, ...]:
-    """Loops whose controller and data have both changed, so that a change alone does not tell which of them did it.
+def _parts(verdicts: Sequence[Verdict]) -> dict[str, Verdict]:
+    return {part.loop: part for verdict in verdicts for part in verdict.parts}
 
-    The way across is a check of the baseline's controller on the present data: compared with the baseline it is the
-    plant's part, compared with the present check the controller's.
+
+def bridge(before: Sequence[Verdict], now: Sequence[Verdict]) -> tuple[str, ...]:
+    """Loops whose controllers and data have both changed, so that a change alone does not tell which of them did it.
+
+    The way across is a check of the baseline's controllers on the present data: compared with the baseline it is the
+    plant's part, compared with the present check the controllers'.
     """
-    theirs = {c.verdict.loop: c for c in before}
+    theirs = {one.loop: one for one in before}
     return tuple(
-        c.verdict.loop
-        for c in now
-        if (was := theirs.get(c.verdict.loop)) is not None
-        and not same_controller(was.controller, c.controller)
-        and any(was.data.get(name) not in (None, mark) for name, mark in c.data.items())
+        one.loop
+        for one in now
+        if (was := theirs.get(one.loop)) is not None
+        and not same_controllers(was, one)
+        and any(was.data.get(name) not in (None, mark) for name, mark in one.data.items())
     )
 
 
-def same_controller(one: Controller, other: Controller) -> bool:
-    """Whether two controllers run the same: all their fields are equal."""
-    return all(getattr(one, name) == getattr(other, name) for name in vars(one))
+def same_controllers(one: Verdict, other: Verdict) -> bool:
+    """Whether the controllers of two verdicts run the same: all their fields are equal."""
+    pairs = zip(one.controllers, other.controllers, strict=False)
+    return len(one.controllers) == len(other.controllers) and all(_same(*pair) for pair in pairs)
+
+
+def _same(one: object, other: object) -> bool:
+    if isinstance(one, GainScheduled) and isinstance(other, GainScheduled):
+        nodes = zip(one.controllers, other.controllers, strict=False)
+        return one.variables == other.variables and one.lag_s == other.lag_s and all(_same(*pair) for pair in nodes)
+    return type(one) is type(other) and vars(one) == vars(other)
 
 
 def _lines(loop: str, before: Verdict, now: Verdict) -> list[LineChange]:
@@ -137,12 +145,12 @@ def _half_widths(value: float, interval: tuple[float, float] | None) -> tuple[fl
     return (0.0, 0.0) if interval is None else (max(value - interval[0], 0.0), max(interval[1] - value, 0.0))
 
 
-def _pairs(before: Checked, now: Checked) -> list[_Pair]:
+def _pairs(before: Verdict, now: Verdict) -> list[_Pair]:
     return [
-        _Pair(now.verdict.loop, name, limit, was, found, before.data.get(name) == now.data.get(name))
-        for name, found in now.verdict.margins.items()
-        if (was := before.verdict.margins.get(name)) is not None and _comparable(was, found)
-        for limit in LIMITS
+        _Pair(now.loop, name, limit, was, found, before.data.get(name) == now.data.get(name))
+        for name, found in now.margins.items()
+        if (was := before.margins.get(name)) is not None and _comparable(was, found)
+        for limit in LIMIT_OF.values()
     ]
 
 
@@ -186,7 +194,7 @@ def _outcome(low: float, high: float, tiny: float, sign: float) -> Change:
     return Change.BETTER if (low > tiny) == (sign > 0.0) else Change.WORSE
 
 
-def _only(these: Mapping[str, Checked], others: Mapping[str, Checked]) -> list[str]:
+def _only(these: Mapping[str, Verdict], others: Mapping[str, Verdict]) -> list[str]:
     """Loops, and operating points of loops that both have, which the others do not have."""
     found = []
     for loop, one in these.items():
@@ -197,18 +205,20 @@ def _only(these: Mapping[str, Checked], others: Mapping[str, Checked]) -> list[s
     return found
 
 
-def _underneath(before: Checked, now: Checked, moved: bool) -> list[str]:
+def _underneath(before: Verdict, now: Verdict, moved: bool) -> list[str]:
     """What differs below the margins: the controller, the data, or something else where both are the same."""
     shared = [name for name in now.data if name in before.data]
     if not shared:
         return []
     others = sum(before.data[name] != now.data[name] for name in shared)
-    same = same_controller(before.controller, now.controller)
+    same = same_controllers(before, now)
     data = "the same data" if others == 0 else "other data"
     if 0 < others < len(shared):
         data += f" at {others} of {len(shared)} operating points"
     neither = "; the program, its fits or the requirements have changed" if moved and same and others == 0 else ""
-    return [f"loop {now.verdict.loop}: {'the same' if same else 'another'} controller, {data}{neither}"]
+    word = "controllers" if now.together else "controller"
+    which = f"the same {word}" if same else f"other {word}" if now.together else f"another {word}"
+    return [f"loop {now.loop}: {which}, {data}{neither}"]
 
 
 def _bare(pairs: Sequence[_Pair]) -> list[str]:

@@ -19,6 +19,7 @@ from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import detuning_warnings
 from loopshape.data.signal.disturbance import Disturbance
+from loopshape.loop.baseline import data_mark
 from loopshape.loop.detuning import with_detuning
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import Closed, closed_loops, equivalent_plants, loops_of, matrix_loops, points_of
@@ -103,13 +104,21 @@ def check_loops(
     if len(chosen.names) > 1:
         refuse_several_disturbed(chosen.names, disturbances)
         loops, notes = matrix_loops(chosen, whole := (together or Requirements()).of_all())
-        return _verdict_on_all(loops, chosen, asked, whole, fits, notes), loops
+        return _kept(_verdict_on_all(loops, chosen, asked, whole, fits, notes), chosen), loops
     required = asked[0] if asked else Requirements(chosen.names[0])
     if together is not None:
         required = required.with_all(together.of_all())
     (own,), under = chosen.controllers, chosen.recorded_under
     frfs = [frf if frf.recorded_under or not under else replace(frf, recorded_under=under[0]) for frf in chosen.frfs]
-    return _check_one(frfs, own, required, fits, detuned=detuned, disturbances=disturbances)
+    found, loops = _check_one(frfs, own, required, fits, detuned=detuned, disturbances=disturbances)
+    return _kept(found, chosen), loops
+
+
+def _kept(found: Verdict, closed: Closed) -> Verdict:
+    """A verdict, and those that it has of each loop, with the controllers and marks of the data."""
+    data = dict(zip(found.margins, map(data_mark, closed.frfs), strict=True))
+    each = tuple(replace(one, controllers=closed.controllers, data=data) for one in found.each)
+    return replace(found, each=each, controllers=closed.controllers, data=data)
 
 
 def _check_one(

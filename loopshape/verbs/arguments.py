@@ -19,6 +19,17 @@ def controller_of(given: Controller | Tuning) -> Controller:
     return given.controller if isinstance(given, Tuning) else given
 
 
+def required_of(
+    R: Requirements | Sequence[Requirements] | None, together: Requirements | None
+) -> tuple[list[Requirements], Requirements | None]:
+    """Requirements of each loop, and of all together: of several the one without a name, as `ls.read` gives them."""
+    asked = [R] if isinstance(R, Requirements) else list(R or ())
+    rest = [one for one in asked if not one.loop]
+    if len(asked) < 2 or len(rest) != 1 or together is not None:
+        return asked, together
+    return [one for one in asked if one.loop], rest[0]
+
+
 def equivalent_plants(P: Plants, R: Requirements) -> tuple[tuple[FRF, ...], Requirements]:
     """The plants, and the requirements with what a diagram tells of their unstable poles."""
     if not isinstance(P, Diagram):

@@ -23,7 +23,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
-from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants, plants_of
+from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants, plants_of, required_of
 from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
@@ -208,7 +208,7 @@ def tune(
     from loopshape.design.turns import tune_loops
     from loopshape.loop.margin.disturbed import refuse_several_disturbed
 
-    asked = [R] if isinstance(R, Requirements) else list(R)
+    asked, together = required_of(R, together)
     asked = asked if structure is None else [replace(one, structure=tuple(structure)) for one in asked]
     initial = [controller_of(one) for one in (start if isinstance(start, Sequence) else (start,)) if one is not None]
     if len(initial) > len({one.loop for one in initial}):
@@ -272,7 +272,7 @@ def check(
 
     given = C if isinstance(C, Sequence) else (C,)
     own = [one if isinstance(one, GainScheduled) else controller_of(one) for one in given]
-    asked = [R] if isinstance(R, Requirements) else list(R or ())
+    asked, together = required_of(R, together)
     if len(own) == 1 and len(asked) < 2:
         plants, one = equivalent_plants(P, asked[0] if asked else Requirements(own[0].loop))
         asked = [one]
@@ -360,10 +360,10 @@ def shape(
     from loopshape.verbs.shaping import SeveralLoops, notebook_widget, shaped, write_page
 
     plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
-    required = (R,) if isinstance(R, Requirements) else tuple(R or ())
+    required, together = required_of(R, together)
     own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,)) if one is not None]
     if len(own) > 1:
-        loops = SeveralLoops(plants, required, together).shaped(own)
+        loops = SeveralLoops(plants, tuple(required), together).shaped(own)
     else:
         one = (*required, None)[0] if together is None else (*required, Requirements())[0].with_all(together)
         loops = [shaped(plants, own[0] if own else None, one, tuple(fits))]

@@ -10,21 +10,30 @@ from typing import TYPE_CHECKING, Any
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Prediction
+from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
+from loopshape.verbs.arguments import controller_of
 
 if TYPE_CHECKING:
-    from loopshape.data.requirement.profile import Profile
     from loopshape.design.tune import Tuning
     from loopshape.io.run.verify import Finding
     from loopshape.loop.run_report import RunReport
 
 _READERS = {
+    ".json": "loopshape.io.write.verdicts:read_verdicts",
     ".toml": "loopshape.io.write.controllers:read_loop_controllers",
     ".npz": "loopshape.io.write.predictions:read_predictions",
-    ".json": "loopshape.io.write.verdicts:read_verdicts",
+}
+_FORMATS = {
+    "loopshape-requirements": "loopshape.io.requirements:read_whole",
+    "loopshape-profiles": "loopshape.io.requirements:read_profiles",
+    "loopshape-fits": "loopshape.io.write.fits:read_fits",
+    "loopshape-verdict": "loopshape.io.write.verdicts:read_verdicts",
 }
 FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
@@ -32,8 +41,9 @@ FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and 
 def read(path: str | Path) -> Any:
     """What `write` and the commands wrote: the run in a folder, whose columns load when asked for, or a file's nouns.
 
-    Controllers and schedules, or requirements, one a loop (.toml), predictions (.npz), verdicts with their controllers
-    (.json), or one FRF (.csv, .mat, .uff, ...). Raises UnreadableInputError for what holds none of these or is damaged.
+    Controllers and schedules, or requirements, one a loop and those of all together last (.toml), predictions (.npz),
+    verdicts or fits (.json), profiles by name, or one FRF (.csv, .mat, .uff, ...). Raises UnreadableInputError for what
+    holds none of these or is damaged.
 
     Examples
     --------
@@ -43,15 +53,17 @@ def read(path: str | Path) -> Any:
     True
     """
     from loopshape.core.toolboxes import found, function_at
-    from loopshape.io.files import read_toml
+    from loopshape.io.files import read_json, read_toml
     from loopshape.io.run.run_folder import read_run
 
     place = Path(path)
     if place.is_dir() or not place.suffix:
         return read_run(place)
     kind = place.suffix.lower()
-    if kind == ".toml" and str(read_toml(place).get("format")).startswith("loopshape-requirements"):
-        return read_requirements(place)
+    if kind in (".toml", ".json"):
+        words = (read_toml if kind == ".toml" else read_json)(place)
+        named = str(words.get("format") if isinstance(words, dict) else None).split("/")[0]
+        return function_at(_FORMATS.get(named, _READERS[kind]))(place)
     other = found().all("names").get("read_frf")
     if kind not in _READERS and other is None:
         raise WrongUseError("a file of this kind is not read", str(path), f"give a folder, or {', '.join(_READERS)}")
@@ -140,39 +152,68 @@ def write(
     | GainScheduled
     | Tuning
     | FRF
+    | Fit
     | Prediction
-    | Sequence[Controller | GainScheduled | Tuning | Prediction],
+    | Profile
+    | Requirements
+    | Verdict
+    | Sequence[Controller | GainScheduled | Tuning | Fit | Prediction | Profile | Requirements | Verdict],
     path: str | Path,
 ) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
 
-    A run becomes a folder, a controller (a schedule, what `tune` found) a controller file, an FRF a file of the kind
-    that the ending names (.csv, .mat, .uff). A sequence of controllers, one a loop, or of predictions is one file, too.
-    Raises WrongUseError for another ending and for other things.
+    A run becomes a folder, an FRF a file of the kind that the ending names (.csv, .mat, .uff), a controller (a
+    schedule, what `tune` found), requirements or profiles a file (.toml), a verdict (which `check --baseline` takes) or
+    fits one (.json), predictions one (.npz). A sequence of one kind is one file, too: controllers, verdicts and
+    requirements one a loop; requirements without a name are those of all loops together. Raises WrongUseError for
+    other endings and things, and for what has no form in a file: a weight that is a function.
+
+    Examples
+    --------
+    >>> import loopshape as ls, tempfile
+    >>> R = ls.Requirements("x", phase_margin_deg=45, masks=(ls.Mask("S", ((0.1, -40.0), (10.0, 0.0))),))
+    >>> ls.read(ls.write(R, f"{tempfile.mkdtemp()}/requirements.toml"))
+    (Requirements x: phase_margin_deg at least 45, sensitivity_mask_db at most 0,)
     """
     from loopshape.core.toolboxes import found, function_at
     from loopshape.io.run.run_folder import write_run
-    from loopshape.io.write.controllers import write_controllers
-    from loopshape.io.write.predictions import write_predictions
 
     target = Path(path)
-    every: list[Any] = list(what) if isinstance(what, list | tuple) else [what]
-    made = [getattr(one, "controller", one) for one in every]  # of a tuning
-    strange = [type(one).__name__ for one in made if not isinstance(one, Controller | GainScheduled)]
+    every: Any = what if isinstance(what, list | tuple) else [what]
     if place := found().all("writers").get(type(what).__name__):
         function_at(place)(target, what)
     elif isinstance(what, Run):
         write_run(target, what)
-    elif all(isinstance(one, Prediction) for one in every):
-        write_predictions(target, every)
-    elif not strange:
-        write_controllers(target, made)
-    elif isinstance(what, list | tuple):
-        raise WrongUseError("one file holds controllers or predictions", ", ".join(strange), "write others one by one")
     else:
-        known = "a Run, a Controller, a GainScheduled, a Tuning, an FRF or a Prediction"
-        raise WrongUseError("there is no file for this", type(what).__name__, f"give {known}")
+        _write_all(target, [*map(controller_of, every)])
     return target
+
+
+#: the nouns of a file, its ending, and what writes them
+_WRITERS: tuple[tuple[type | tuple[type, ...], str, str], ...] = (
+    ((Controller, GainScheduled), ".toml", "loopshape.io.write.controllers:write_controllers"),
+    (Requirements, ".toml", "loopshape.io.requirements:write_requirements"),
+    (Profile, ".toml", "loopshape.io.requirements:write_profiles"),
+    (Prediction, ".npz", "loopshape.io.write.predictions:write_predictions"),
+    (Verdict, ".json", "loopshape.io.write.verdicts:write_verdicts"),
+    (Fit, ".json", "loopshape.io.write.fits:write_fits"),
+)
+
+
+def _write_all(target: Path, every: list[Any]) -> None:
+    """Write nouns of one kind; refuses others and another ending."""
+    from loopshape.core.toolboxes import function_at
+
+    for kinds, ending, place in _WRITERS:
+        if all(isinstance(one, kinds) for one in every):
+            if target.suffix.lower() != ending:
+                raise WrongUseError(f"this is written as {ending}", target.name, f"name it {target.stem}{ending}")
+            return function_at(place)(target, every)
+    names = ", ".join(dict.fromkeys(type(one).__name__ for one in every))
+    known = "controllers, requirements, profiles, predictions, verdicts or fits"
+    if len(every) > 1:
+        raise WrongUseError(f"one file holds {known}", names, "write others one by one")
+    raise WrongUseError("there is no file for this", names, f"give a Run, an FRF, or {known}")
 
 
 def figure_bytes(megabytes: float) -> int:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from loopshape.data.response.model import Fit
     from loopshape.data.result.prediction import Prediction
     from loopshape.data.result.verdict import Verdict
-    from loopshape.io.write.check_files import Checks, MatrixCheck
+    from loopshape.io.write.check_files import Checks
     from loopshape.loop.loop import Loop
     from loopshape.loop.predict.remeasured import Remeasured
 
@@ -116,12 +116,13 @@ def draw_matrices(folder: Path, frfs: Sequence[FRF]) -> list[str]:
 
 def draw_checks(folder: Path, found: Checks) -> list[str]:
     """Pictures of what was checked: of each loop, of a diagram, of all loops at once."""
-    if found.matrix is not None:
-        return draw_several(folder, found.matrix)
-    first = [] if found.diagram is None else _saved(folder, [("diagram", found.diagram.figure())])
-    return first + [
-        path for x in found.loops for path in draw_loops(folder, x.controller.loop, x.loops, x.requirements, x.verdict)
-    ]
+    drawn = [] if found.diagram is None else _saved(folder, [("diagram", found.diagram.figure())])
+    for one in found.loops:
+        if one.verdict.each:
+            drawn += draw_together(folder, one.loops, one.verdict, one.together)
+        else:
+            drawn += draw_loops(folder, one.verdict.controllers[0].loop, one.loops, one.requirements[0], one.verdict)
+    return drawn
 
 
 def draw_loops(
@@ -151,15 +152,17 @@ def draw_loops(
     return _saved(folder, made.items())
 
 
-def draw_several(folder: Path, found: MatrixCheck) -> list[str]:
+def draw_together(
+    folder: Path, loops: Sequence[Loop], verdict: Verdict, required: Requirements | None = None
+) -> list[str]:
     """A page of all loops at once for each operating point."""
     from loopshape.view.verdict.several import several_page
 
-    drawn, verdict = [], found.verdict
-    for loop, tail in zip(found.loops, _tails(len(found.loops)), strict=True):
+    drawn = []
+    for loop, tail in zip(loops, _tails(len(loops)), strict=True):
         recording = loop.plant.recording
         each = {one.loop: one.margins[recording] for one in verdict.each}
-        page = several_page(loop, verdict.together[recording], each, found.together)
+        page = several_page(loop, verdict.together[recording], each, required)
         drawn += _saved(folder, [(f"several_{'+'.join(loop.names)}{tail}", page)])
     return drawn
 

@@ -250,7 +250,7 @@ def check(
     if reports.allow_worse and reports.baseline is None:
         raise WrongUseError("--allow-worse needs a baseline", "none", "name it: --baseline FILE")
     found = check_all(run, controller, require, chosen, **options)
-    compared = None if reports.baseline is None else against(reports.baseline, found.single)
+    compared = None if reports.baseline is None else against(reports.baseline, found.loops)
     return CheckedRun(found, chosen, compared, required, reports.allow_worse)
 
 
@@ -260,7 +260,7 @@ def write_reports(found: CheckedRun, reports: Reports) -> None:
     for path in (one for one in (reports.junit, reports.markdown) if one is not None):
         make_folder(path.parent)
     if reports.save_verdict is not None:
-        write_verdicts(reports.save_verdict, [loop.checked for loop in checks.single])
+        write_verdicts(reports.save_verdict, checks.kept)
     if reports.junit is not None:
         whole = None if compared is None else compared.whole
         write_text_whole(reports.junit, junit(checks.verdicts, whole, allow_worse=reports.allow_worse))

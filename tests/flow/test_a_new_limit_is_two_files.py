@@ -45,8 +45,6 @@ import numpy as np
 import loopshape as ls
 from loopshape.data.control.block import Block
 from loopshape.data.requirement.requirements import LIMITS
-from loopshape.io.write.verdicts import read_verdicts, write_verdicts
-from loopshape.loop.baseline import checked
 from loopshape.view.html.verdict_parts import margins_of
 from loopshape.view.page.payload import limit_words, _not_read
 from loopshape.view.verdict.junit import junit
@@ -67,8 +65,7 @@ out["json"] = v.to_dict()["margins"][name]["loop_peak_db"]
 out["junit"], out["markdown"] = junit([v]), markdown([v])
 out["report"] = str(margins_of(v, {}))
 out["page"] = _not_read(R)
-write_verdicts(Path(sys.argv[1]), [checked(v, C, [P])])
-out["kept"] = read_verdicts(Path(sys.argv[1]))[0].verdict.margins[name].loop_peak_db
+out["kept"] = ls.read(ls.write(v, sys.argv[1]))[0].margins[name].loop_peak_db
 try:
     tuned = ls.tune(P, R, [ls.gain()], seed=0, starts=1)
     out["tuned"] = [tuned.outcome, tuned.verdict.margins[name].loop_peak_db]

@@ -44,7 +44,7 @@ def test_a_verdict_with_a_detuning_comes_back_and_a_damaged_one_is_refused(tmp_p
     found = replace(margins({"detuning_percent": 1.5}), detuning=DETUNING)
     write_verdicts(path, [checked({"r1": found})])
     (back,) = read_verdicts(path)
-    assert back.verdict.margins["r1"].detuning == DETUNING
+    assert back.margins["r1"].detuning == DETUNING
     whole = json.loads(path.read_text())
     for damage in (5, "x", {"up": 1}, {"up": {"percent": "much"}}, []):
         whole["loops"][0]["margins"]["r1"]["detuning"] = damage

@@ -108,8 +108,9 @@ def _report(found: CheckedRun, run: Path, output: Output, details: bool) -> None
     output.say(f"{found.text(str(run))}\n")
     if details:
         report_verdicts(checks.verdicts, output)
-        for one in checks.loops:
-            output.tables(tables.phase_budget_tables(one.verdict, one.controller))
+        for one in checks.verdicts:
+            for own in one.controllers:
+                output.tables(tables.phase_budget_tables(one, own))
     else:
         warn_of(checks.verdicts, output)
     if found.profile is not None:

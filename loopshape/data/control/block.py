@@ -243,9 +243,7 @@ class Block:
 
     def to_table(self) -> dict[str, Any]:
         """The TOML table of this block, as `from_table` reads it."""
-        order = BLOCK_KINDS[self.kind].order
-        head: dict[str, Any] = {"kind": "low_pass", "order": order} if order is not None else {"kind": self.kind}
-        return head | dict(self.parameters)
+        return _head(self.kind) | dict(self.parameters)
 
     def section(self) -> Section:
         """Numerator and denominator, coefficients of s^0, s^1, s^2."""
@@ -276,6 +274,12 @@ class Block:
             section = self.bounded_section()
         num, den = (_polyval(p, s) for p in section)
         return {name: _polyval(dn, s) / num - _polyval(dd, s) / den for name, (dn, dd) in slopes.items()}
+
+
+def _head(kind: str) -> dict[str, Any]:
+    """The keys by which a table is known as a block of this kind."""
+    order = BLOCK_KINDS[kind].order
+    return {"kind": kind} if order is None else {"kind": "low_pass", "order": order}
 
 
 def _lowered(p: Polynomial, den: Polynomial) -> Polynomial:
@@ -335,6 +339,17 @@ class Free:
     high: float
     start: float | None = None
 
+    def to_table(self) -> dict[str, float]:
+        """{ min, max, start } of a template's table, nothing where it is open."""
+        if self == OPEN:
+            return {}
+        ends = {"min": self.low, "max": self.high}
+        return ends if self.start is None else ends | {"start": self.start}
+
+
+#: a parameter that tuning may move as far as the plants' frequencies and gains make sense
+OPEN = Free(0.0, np.inf)
+
 
 @dataclass(frozen=True, eq=False)
 class BlockTemplate:
@@ -346,7 +361,7 @@ class BlockTemplate:
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> BlockTemplate:
-        """Template from TOML: a number fixes, `{ min, max, start }` frees, `"f1_hz"` ties to another."""
+        """Template from TOML: a number fixes, `{ min, max, start }` frees, `{}` leaves open, `"f1_hz"` ties."""
         kind = block_kind(table)
         names = BLOCK_KINDS[kind].parameters
         given = {k: v for k, v in table.items() if k not in ("kind", "order")}
@@ -359,6 +374,11 @@ class BlockTemplate:
             if target not in names or target == name or target in tie:
                 raise WrongUseError(f"{name} of {an(kind)} block is tied to nothing", f"{target!r}")
         return cls(kind, {k: _free_or_fixed(kind, k, v) for k, v in given.items() if k not in tie}, tie)
+
+    def to_table(self) -> dict[str, Any]:
+        """The TOML table of this template, as `from_table` reads it."""
+        own = {k: v.to_table() if isinstance(v, Free) else v for k, v in self.parameters.items()}
+        return _head(self.kind) | own | dict(self.tie)
 
     def block(self, values: Mapping[str, float]) -> Block:
         """Block with the free parameters at `values`."""
@@ -373,6 +393,8 @@ class BlockTemplate:
 def _free_or_fixed(kind: str, name: str, value: Any) -> float | Free:
     if not isinstance(value, Mapping):
         return _finite(kind, name, value)
+    if not value:
+        return OPEN
     if not {"min", "max"} <= set(value) <= {"min", "max", "start"}:
         raise WrongUseError(
             f"{name} of {an(kind)} block is a number or a table with min, max, perhaps start", f"{dict(value)!r}"

@@ -13,13 +13,11 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError, an
 from loopshape.core.units import TWO_PI, from_db
-from loopshape.data.control.block import Block, BlockTemplate, Free
+from loopshape.data.control.block import OPEN, Block, BlockTemplate, Free
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 
 Parameter = float | tuple[float, float] | None
-#: a parameter that tuning may move as far as the plants' frequencies and gains make sense
-OPEN = Free(0.0, float("inf"))
 #: bounds of dampings and ratios that follow from no plant, by name
 DAMPINGS = {"damping": (0.2, 2.0), "damping1": (0.005, 1.0), "damping2": (0.1, 2.0)}
 #: bounds of a resonator's dampings and of a complex lead's, where none are given
@@ -217,7 +215,7 @@ def controller(
 
 def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[BlockTemplate, ...]:
     """The structure with bounds for what was open: frequencies in the plants' valid bands, gains about 1/|P|."""
-    if not any(value is OPEN for block in structure for value in block.parameters.values()):
+    if not any(value == OPEN for block in structure for value in block.parameters.values()):
         return tuple(structure)
     bands = np.array([frf.valid_band_hz for frf in plants])
     low, high = float(np.nanmin(bands)), float(np.nanmax(bands))
@@ -225,7 +223,7 @@ def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[
     usual, factor = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**GAIN_DECADES
 
     def closed(name: str, value: float | Free) -> float | Free:
-        if value is not OPEN:
+        if value != OPEN:
             return value
         if name == "gain":
             return Free(usual / factor, usual * factor)

@@ -76,6 +76,11 @@ class Mask:
         none = -np.inf if self.sense == "at_least" else np.inf
         return np.interp(np.log(np.asarray(f, dtype=float)), np.log(hz), level, none, none)
 
+    def to_table(self) -> dict[str, Any]:
+        """The table of this mask in a file."""
+        made = {"response": self.response, "points": [list(pair) for pair in self.points]}
+        return made if self.sense == "at_most" else made | {"sense": self.sense}
+
 
 def weights(masks: Sequence[Mask], f: Array) -> Array:
     """What squared magnitudes are multiplied with to be 1 at the sharpest limit, a row for each of `MASKED` (6, nf).
@@ -131,6 +136,11 @@ class AtPoints:
         if isinstance(where := made.get("where", {}), Mapping):
             made["where"] = {key: [one, one] if _is_finite(one) else one for key, one in where.items()}
         return made | {"limits": given}
+
+    def to_table(self) -> dict[str, Any]:
+        """The table of these limits in a file, as `unfolded` reads it."""
+        made = {"where": {name: list(ends) for name, ends in self.where.items()}, **self.limits}
+        return made | ({"masks": [mask.to_table() for mask in self.masks]} if self.masks else {})
 
 
 def _is_finite(value: Any) -> bool:

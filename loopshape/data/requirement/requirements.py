@@ -195,6 +195,8 @@ _ROWS: tuple[Limit, ...] = (
 LIMITS = tuple(limit for limit in _ROWS if limit.together != "alone")
 TOGETHER = tuple(sorted((x for x in _ROWS if x.together), key=lambda x: "disk" not in x.name))
 LIMIT_OF = {limit.name: limit for limit in _ROWS}
+#: fields of `Requirements` that are lists of tables in a file
+_TABLES = ("masks", "weights", "at", "structure")
 #: limits that hold for all operating points alike
 OF_ALL_POINTS = ("controller_bandwidth_hz", "detuning_percent", "weighted_norm")
 
@@ -421,6 +423,17 @@ class Requirements:
             one["masks"] = tuple(Mask(**mask) for mask in one.get("masks", ()))
         given |= {"at": tuple(AtPoints(**x) for x in given["at"]), "objective": Objective(**given.get("objective", {}))}
         return cls(loop=given.pop("name"), **given)
+
+    def to_table(self) -> dict[str, Any]:
+        """The table of these requirements in a file, as `from_table` reads it; what is at its default is left out.
+
+        Refuses weights that have no form in a file.
+        """
+        asked = {f.name: value for f in fields(self) if (value := getattr(self, f.name)) != f.default}
+        made = {name: [one.to_table() for one in asked.pop(name)] for name in _TABLES if name in asked}
+        made |= {"objective": asked.pop("objective").to_table()} if "objective" in asked else {}
+        made |= {"band_hz": list(asked.pop("band_hz"))} if "band_hz" in asked else {}
+        return {"name": asked.pop("loop", ""), **asked, **made}
 
 
 def _rising_pair(band: Any) -> bool:

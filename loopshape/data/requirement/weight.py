@@ -74,12 +74,28 @@ class Weight:
 
     @classmethod
     def from_table(cls, table: Any) -> Weight:
-        """A weight from TOML: { response = "S", points = [[0.1, 40.0], [10.0, 0.0]] } or blocks = [{ kind = ... }]."""
-        if not isinstance(table, Mapping) or set(table) not in ({"response", "points"}, {"response", "blocks"}):
-            raise WrongUseError("a weight has response, and points or blocks", f"{table!r}")
+        """A weight from TOML: { response = "S", points = [[0.1, 40.0], [10.0, 0.0]] }, blocks = [...] or size = 2.0."""
+        known = [{"response", one} for one in ("points", "blocks", "size")]
+        if not isinstance(table, Mapping) or set(table) not in known:
+            raise WrongUseError("a weight has response, and size, points or blocks", f"{table!r}")
+        if "size" in table:
+            return cls(table["response"], table["size"] if is_number(table["size"]) else None)
         if "points" in table:
             return cls(table["response"], tuple(map(tuple, table["points"])) if _pairs(table["points"]) else None)
         return cls(table["response"], tuple(BlockTemplate.from_table(one) for one in table["blocks"]))
+
+    def to_table(self) -> dict[str, Any]:
+        """The table of this weight in a file; refuses systems and functions, which have none."""
+        size: Any = (self.size,) if isinstance(self.size, BlockTemplate) else self.size
+        head = {"response": self.response}
+        if is_number(size):
+            return head | {"size": float(size)}
+        if not isinstance(size, Sequence):
+            what = f"the weight on |{self.response}| has no form in a file"
+            raise WrongUseError(what, type(size).__name__, "give a number, points (Hz, dB) or blocks")
+        if isinstance(size[0], BlockTemplate):
+            return head | {"blocks": [one.to_table() for one in size]}
+        return head | {"points": [list(map(float, pair)) for pair in size]}
 
 
 def _function(response: str, size: Any) -> Callable[[Array], Any]:
@@ -198,6 +214,10 @@ class Objective:
             refuse_unknown("an objective is a word, or a table of weights", given, TERMS, "use one of")
             given = {given: 1.0}
         return {"bandwidth": 0.0} | dict(below or {}) | dict(given)
+
+    def to_table(self) -> dict[str, float]:
+        """The table of weights in a file, as `unfolded` reads it."""
+        return {name: value for name, value in vars(self).items() if value}
 
 
 def is_number(value: Any) -> bool:

@@ -1,26 +1,12 @@
-"""A verdict that is kept, and what became of it: which outcomes changed, which margins, and by how much."""
+"""What became of a verdict that was kept: which outcomes changed, which margins, and by how much."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.outcomes import Change, ClosedLoop
-from loopshape.data.control.controller import Controller
-from loopshape.data.result.verdict import RequirementResult, Verdict
-
-
-@dataclass(frozen=True, eq=False)
-class Checked:
-    """A verdict and what it was made from: the controller, and by recording a mark of the data behind the FRF.
-
-    Equal marks mean the same lines and responses, so that two verdicts have their errors in common.
-    """
-
-    verdict: Verdict
-    controller: Controller
-    data: Mapping[str, str]
+from loopshape.data.result.verdict import RequirementResult
 
 
 @dataclass(frozen=True)

@@ -153,4 +153,6 @@ class Margins(Mapping[str, Reading], Plain):
         made |= {"intervals": self.intervals, "at_hz": self.at_hz, "bounds": self.bounds}
         left_out = ("readings", *(() if self.loops else _OF_SEVERAL))
         made |= {f.name: getattr(self, f.name) for f in fields(self) if f.name not in left_out}
-        return dict(json_ready(made | ({"worst_changes": self.changes} if self.loops else {}), unknown))
+        pairs = [(x.real, x.imag) for x in self.worst_changes]  # which a file gives back to the last digit
+        changes = {"worst_changes": self.changes if unknown is None else pairs}
+        return dict(json_ready(made | (changes if self.loops else {}), unknown))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from html import escape
 from shlex import quote
@@ -15,6 +15,9 @@ from loopshape.data.result.margins import Margins, Reading
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from loopshape.data.control.controller import Controller
+    from loopshape.data.control.gain_scheduled import GainScheduled
 
 
 class SettledBy(StrEnum):
@@ -113,6 +116,9 @@ class Verdict(Plain):
     Of several loops `margins` are those of all together, and `each` holds a verdict a loop, with the
     others closed; the outcome needs them too. An undecided verdict on single loops says in `orders` what would settle
     it.
+
+    `controllers` are those of all loops that were closed, and `data` by recording a mark of the FRF: equal marks mean
+    the same lines and responses, so that two verdicts have their errors in common.
     """
 
     IN_JSON = keys("loop", "passed", "outcome", "lines", "margins", "unstable", "warnings", "orders", "each")
@@ -123,6 +129,8 @@ class Verdict(Plain):
     warnings: tuple[str, ...] = ()
     each: tuple[Verdict, ...] = ()
     orders: tuple[Order, ...] = ()
+    controllers: tuple[Controller | GainScheduled, ...] = ()
+    data: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def parts(self) -> tuple[Verdict, ...]:

@@ -15,7 +15,7 @@ from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.data.result.baseline import Checked, Comparison
+from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.equivalent import Diagram, Equivalent
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
@@ -26,7 +26,7 @@ from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import read_fits
 from loopshape.io.write.frfs import read_frfs, read_several_loops
 from loopshape.io.write.verdicts import read_verdicts
-from loopshape.loop.baseline import bridge, checked, compare
+from loopshape.loop.baseline import bridge, compare
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops
 from loopshape.loop.margin.disturbed import refuse_several_disturbed
@@ -35,53 +35,43 @@ from loopshape.loop.verdict import check_loops
 
 @dataclass(frozen=True, eq=False)
 class LoopCheck:
-    """One loop of a requirements file: what was checked, the loops that were built for it, and what came out."""
+    """Loops that are closed together, one or several: FRFs, what was required, the loops built, and what came out."""
 
     frfs: tuple[FRF, ...]
-    requirements: Requirements
+    requirements: tuple[Requirements, ...]
     fits: tuple[Fit, ...]
-    checked: Checked
-    loops: tuple[Loop, ...]
-
-    @property
-    def controller(self) -> Controller:
-        """The controller that was checked."""
-        return self.checked.controller
-
-    @property
-    def verdict(self) -> Verdict:
-        """What the check says."""
-        return self.checked.verdict
-
-
-@dataclass(frozen=True, eq=False)
-class MatrixCheck:
-    """Several loops of one plant at each operating point, what all must keep together, and what came out."""
-
-    loops: tuple[Loop, ...]
-    together: Requirements
     verdict: Verdict
+    loops: tuple[Loop, ...]
+    together: Requirements | None = None
+    recorded_under: tuple[Controller, ...] = ()
+
+    def under(self, before: Verdict) -> Verdict:
+        """The check of another verdict's controllers on these FRFs."""
+        alone = all(frf.response.shape[1:] == (1, 1) for frf in self.frfs)
+        closed = None if alone else [one.loop for one in before.controllers]
+        return check_loops(
+            self.frfs, before.controllers, self.requirements, self.fits, together=self.together, closed=closed,
+            recorded_under=self.recorded_under,
+        )[0]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Checks:
-    """What was checked, loop by loop or as one matrix, with the verdict on each loop and then on all together."""
+    """What was checked: each loop by itself, or several at once; verdicts on what a diagram closes come first."""
 
-    verdicts: tuple[Verdict, ...]
-    loops: tuple[LoopCheck, ...] = ()
-    matrix: MatrixCheck | None = None
+    loops: tuple[LoopCheck, ...]
+    inner: tuple[Verdict, ...] = ()
     diagram: Diagram | None = None
 
     @property
-    def single(self) -> tuple[LoopCheck, ...]:
-        """The single loops, of which alone a verdict is kept and compared; refuses several at once."""
-        if self.matrix is not None:
-            raise WrongUseError(
-                "several loops were checked at once, and a kept verdict is of single loops",
-                self.verdicts[-1].loop,
-                "leave out --baseline and --save-verdict, or [several] and --matrix",
-            )
-        return self.loops
+    def kept(self) -> tuple[Verdict, ...]:
+        """The verdicts on the controllers that were checked."""
+        return tuple(one.verdict for one in self.loops)
+
+    @property
+    def verdicts(self) -> tuple[Verdict, ...]:
+        """The verdict on each loop, and then on all together."""
+        return (*self.inner, *(part for one in self.kept for part in one.parts))
 
 
 @dataclass(frozen=True)
@@ -125,13 +115,6 @@ def read_diagram(path: Path, run: Path) -> Diagram:
     return made
 
 
-def check_files(
-    run: Path, controller: Path, require: Path | None, profile: Profile | None = None
-) -> tuple[LoopCheck, ...]:
-    """`check_all` of single loops; refuses requirements of several at once."""
-    return check_all(run, controller, require, profile).single
-
-
 def check_all(
     run: Path,
     controller: Path,
@@ -159,8 +142,7 @@ def check_all(
         drawn = None if diagram is None else read_diagram(diagram, run)
         equivalent = None if drawn is None else drawn.equivalent()
         loops = _single_loops(run, controllers, requirements, profile, disturbance, equivalent)
-        inner = () if equivalent is None else tuple(equivalent.inner.values())
-        return Checks((*inner, *(loop.verdict for loop in loops)), loops, diagram=drawn)
+        return Checks(loops, () if equivalent is None else tuple(equivalent.inner.values()), drawn)
     if diagram is not None:
         raise WrongUseError(
             "a diagram closes its other loops itself, and is checked at its one open block", "several loops at once",
@@ -174,11 +156,8 @@ def check_all(
         given = {one.loop: one for one in asked}
         asked = tuple(profile.joined(given.get(name, Requirements(name))) for name in chosen.names)
     verdict, built = check_loops(frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under)
-    if len(chosen.names) > 1:
-        return Checks(verdict.parts, matrix=MatrixCheck(built, together or Requirements(), verdict))
-    own, required = controller_of(controllers, verdict.loop), (*asked, Requirements(verdict.loop))[0]
-    one = LoopCheck(chosen.frfs, required, (), checked(verdict, own, chosen.frfs), built)
-    return Checks((verdict,), (one,))
+    asked = asked if verdict.each else (*asked, Requirements(verdict.loop))[:1]
+    return Checks((LoopCheck(frfs, asked, (), verdict, built, together, under),))
 
 
 def _single_loops(
@@ -215,35 +194,35 @@ def _check(
     mine = tuple(one for one in frfs if one.loop == required.loop)
     disturbances = () if disturbance is None else disturbances_in(disturbance, required.loop)
     verdict, loops = check_loops(mine, controller, required, fits, disturbances=disturbances)
-    return LoopCheck(mine, required, fits, checked(verdict, controller, mine), loops)
+    return LoopCheck(mine, (required,), fits, verdict, loops)
 
 
 def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
     """Compare with a stored verdict.
 
-    Where a loop's controller and data have both changed, the baseline's controller is checked on the present data too:
-    what the controller did and what the plant did are told apart. Where that check cannot be made, as at another
+    Where the controllers and the data have both changed, the baseline's controllers are checked on the present data
+    too: what the controllers did and what the plant did are told apart. Where that check cannot be made, as at another
     rate, a note says so instead.
     """
-    before, now = read_verdicts(baseline), [loop.checked for loop in loops]
-    whole, old = compare(before, now), {c.verdict.loop: c.controller for c in before}
+    before, now = read_verdicts(baseline), [one.verdict for one in loops]
+    whole, old = compare(before, now), {one.loop: one for one in before}
     bridges, notes = [], []
     for x in _of(loops, set(bridge(before, now))):
         try:
-            bridges.append(_check(x.frfs, old[x.verdict.loop], x.requirements, x.fits).checked)
+            bridges.append(x.under(old[x.verdict.loop]))
         except LoopshapeError as error:
             why = f"{error.what} ({error.received})" if error.received else error.what
             notes.append(
                 f"loop {x.verdict.loop}: the baseline's controller cannot be checked on the present data, so what the"
                 f" controller did and what the plant did are not told apart: {why}"
             )
-    whole, across = replace(whole, notes=(*whole.notes, *notes)), {c.verdict.loop for c in bridges}
+    whole, across = replace(whole, notes=(*whole.notes, *notes)), {one.loop for one in bridges}
     if not across:
         return Baseline(whole)
     return Baseline(
         whole,
-        by_controller=compare(bridges, [x.checked for x in _of(loops, across)]),
-        by_plant=compare([c for c in before if c.verdict.loop in across], bridges),
+        by_controller=compare(bridges, [x.verdict for x in _of(loops, across)]),
+        by_plant=compare([one for one in before if one.loop in across], bridges),
     )
 
 

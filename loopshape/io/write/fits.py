@@ -16,19 +16,23 @@ FORMAT = "loopshape-fits/1"
 FILE = "fits.json"
 
 
-def write_fits(run_folder: Path, fits: Sequence[Fit]) -> Path:
-    """Write all fits of a run, whole, in place of those before; returns the file.
+def write_fits(place: Path, fits: Sequence[Fit]) -> Path:
+    """Write all fits of a run's folder, or of a file (.json), whole, in place of those before; returns the file.
 
     NaN and infinite numbers stand as "nan", "inf" and "-inf".
     """
-    path = run_folder / FILE
+    path = _file(place)
     write_json(path, {"format": FORMAT, "loopshape": __version__, "fits": list(fits)})
     return path
 
 
-def read_fits(run_folder: Path) -> tuple[Fit, ...]:
-    """The fits of a run; refuses a run that has none, another format, and a damaged file."""
-    path = run_folder / FILE
+def _file(place: Path) -> Path:
+    return place if place.suffix == ".json" and not place.is_dir() else place / FILE
+
+
+def read_fits(place: Path) -> tuple[Fit, ...]:
+    """The fits of a run's folder, or of a file; refuses a run that has none, another format, and a damaged file."""
+    path = _file(place)
     if not path.exists():
         raise UnreadableInputError("a run has no fits yet", str(path), "fit its FRFs first: loopshape fit RUN")
     data = read_json(path)

@@ -3,54 +3,69 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.requirement.requirements import LIMIT_OF
-from loopshape.data.result.baseline import Checked
 from loopshape.data.result.margins import Margins
-from loopshape.data.result.verdict import RequirementResult, Verdict
+from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
+from loopshape.io.run.run_tables import Schedule, schedule_table
 from loopshape.io.schema import read, table_of
 
-FORMAT = "loopshape-verdict/2"
+FORMAT = "loopshape-verdict/3"
 #: what the first version called fields of a requirement's line and of what a detuning loses
 _BEFORE = {"wished": "required", "found": "value", "spare": "slack"}
 _AGAIN = "write it again: loopshape check ... --save-verdict"
 
 
-def write_verdicts(path: Path, found: Sequence[Checked]) -> None:
-    """Write the verdicts of all loops whole, with their controllers and a mark of the data of each operating point.
+def write_verdicts(path: Path, found: Sequence[Verdict]) -> None:
+    """Write verdicts whole, with their controllers and a mark of the data of each operating point.
 
     Nothing in it depends on when or where it was written. NaN and infinite numbers stand as "nan", "inf" and "-inf".
-    Refuses no verdict, and two of one loop.
+    Refuses no verdict, two of one loop, and one that no check made.
     """
     if not found:
         raise WrongUseError("a file of verdicts holds at least one", "none", "check a loop first")
-    refuse_doubles((one.verdict.loop for one in found), path.name, "verdicts")
+    refuse_doubles((part.loop for one in found for part in one.parts), path.name, "verdicts")
+    for one in found:
+        _refuse_unmarked(one, WrongUseError)
     make_folder(path.parent)
     write_json(path, {"format": FORMAT, "loopshape": __version__, "loops": [_table(one) for one in found]})
 
 
-def _table(one: Checked) -> dict[str, Any]:
-    verdict = one.verdict
+def _refuse_unmarked(found: Verdict, kind: type[Exception]) -> None:
+    if set(found.data) != set(found.margins) or not found.margins:
+        raise kind("the operating points of data and margins differ: a verdict that is kept is made by check")
+
+
+def _table(one: Verdict, whole: bool = True) -> dict[str, Any]:
     return {
-        "loop": verdict.loop,
-        "outcome": verdict.outcome,
-        "controller": table_of(one.controller),
+        "loop": one.loop,
+        "outcome": one.outcome,
+        **({"controllers": [_controller(own) for own in one.controllers]} if whole else {}),
         "data": one.data,
-        "lines": list(verdict.lines),
-        "margins": {name: one.table() for name, one in verdict.margins.items()},
-        "warnings": list(verdict.warnings),
+        "lines": one.lines,
+        "margins": {name: m.table() for name, m in one.margins.items()},
+        "warnings": one.warnings,
+        **({"orders": one.orders} if one.orders else {}),
+        **({"each": [_table(part, whole=False) for part in one.each]} if one.each else {}),
     }
 
 
-def read_verdicts(path: Path) -> tuple[Checked, ...]:
+def _controller(one: Controller | GainScheduled) -> dict[str, Any]:
+    if isinstance(one, GainScheduled):
+        return {"name": one.loop, "rate_hz": one.rate_hz, **schedule_table(one)}
+    return table_of(one)
+
+
+def read_verdicts(path: Path) -> tuple[Verdict, ...]:
     """The verdicts of a file.
 
     Refuses a file that is missing, of another kind or another version, damaged, or whose outcomes are not those of its
@@ -59,56 +74,67 @@ def read_verdicts(path: Path) -> tuple[Checked, ...]:
     data = read_json(path)
     found = data.get("format") if isinstance(data, dict) else None
     if found == "loopshape-verdict/1":
-        data, found = _upgraded(data), FORMAT
-    if found != FORMAT:
-        later = isinstance(found, str) and found.startswith("loopshape-verdict/")
+        data, found = _renamed(data), "loopshape-verdict/2"
+    later = isinstance(found, str) and found.startswith("loopshape-verdict/")
+    if found not in (FORMAT, "loopshape-verdict/2"):
         raise UnreadableInputError(
             f"{path} is not of the format {FORMAT}",
             f"format = {found!r}" if found is not None else "another file",
             f"it was written by another version of loopshape: {_AGAIN}" if later else _AGAIN,
         )
     with reading(path, "verdicts", WrongUseError):
-        verdicts: Any = tuple(read(CheckedTable, table, path.name, own=True) for table in data["loops"])
-        refuse_doubles((one.verdict.loop for one in verdicts), path.name, "verdicts")
+        loops = [_listed(one) for one in data["loops"]] if found != FORMAT else data["loops"]
+        verdicts: Any = tuple(read(VerdictTable, table, path.name, own=True) for table in loops)
+        refuse_doubles((part.loop for one in verdicts for part in one.parts), path.name, "verdicts")
+        if any(not one.controllers for one in verdicts):
+            raise WrongUseError("a verdict in a file has its controllers", "none")
     if not verdicts:
         raise UnreadableInputError(f"{path} holds no verdict", "an empty list", _AGAIN)
     return tuple(verdicts)
 
 
-def _upgraded(data: Any, by_name: bool = False) -> Any:
-    """A file of the first version in the words of this one, keys that are names as they are; a damaged one stays so."""
+def _renamed(data: Any, by_name: bool = False) -> Any:
+    """A file of version 1 in the words of version 2, keys that are names as they are; a damaged one stays so."""
     if isinstance(data, list):
-        return [_upgraded(one) for one in data]
+        return [_renamed(one) for one in data]
     if not isinstance(data, dict):
         return data
-    return {k if by_name else _BEFORE.get(k, k): _upgraded(v, k in ("data", "margins")) for k, v in data.items()}
+    return {k if by_name else _BEFORE.get(k, k): _renamed(v, k in ("data", "margins")) for k, v in data.items()}
+
+
+def _listed(table: Any) -> dict[str, Any]:
+    """A verdict of version 2, which has one controller, as this version has it."""
+    return {**{k: v for k, v in table.items() if k != "controller"}, "controllers": [table["controller"]]}
 
 
 @dataclass(frozen=True)
-class CheckedTable:
-    """A verdict in its file, with what it was made from."""
+class VerdictTable:
+    """A verdict in its file, with what it was made from; those `each` have the controllers of the whole."""
 
     loop: str
     outcome: str
-    controller: Controller
     data: Mapping[str, str]
     lines: tuple[RequirementResult, ...]
     margins: Mapping[str, Margins]
     warnings: tuple[str, ...]
+    controllers: tuple[Controller | Schedule, ...] = ()
+    orders: tuple[Order, ...] = ()
+    each: tuple[VerdictTable, ...] = field(default=())
 
     @classmethod
     def unfolded(cls, table: Mapping[str, Any]) -> dict[str, Any]:
         """The table with the readings of margins each by itself."""
         return {**table, "margins": {name: _with_readings(one) for name, one in table["margins"].items()}}
 
-    def made(self) -> Checked:
+    def made(self) -> Verdict:
         """The verdict; refuses an outcome that is not that of its lines."""
-        verdict = Verdict(self.loop, self.lines, self.margins, self.warnings)
-        if verdict.outcome != self.outcome:
-            raise ValueError(f"outcome {self.outcome!r}, and its lines say {str(verdict.outcome)!r}")
-        if set(self.data) != set(self.margins) or not self.margins:
-            raise ValueError("the operating points of data and margins differ")
-        return Checked(verdict, self.controller, self.data)
+        own: Any = self.controllers
+        each: Any = tuple(replace(one, controllers=own) for one in self.each)
+        found = Verdict(self.loop, self.lines, self.margins, self.warnings, each, self.orders, own, self.data)
+        if found.outcome != self.outcome:
+            raise ValueError(f"outcome {self.outcome!r}, and its lines say {str(found.outcome)!r}")
+        _refuse_unmarked(found, ValueError)
+        return found
 
 
 def _with_readings(table: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.json_ready import json_ready
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.block import BLOCK_KINDS, Block
 from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.limits_over import MASKED, AtPoints
+from loopshape.data.requirement.limits_over import MASKED
 from loopshape.data.requirement.requirements import LIMITS, Limit, Requirements
 from loopshape.data.requirement.weight import Objective
 from loopshape.data.response import smoothed as dense
@@ -46,8 +45,6 @@ from loopshape.view.html.markup import packed
 _LIMIT = ("name", "sense", "unit", "label", "plot", "scale", "asked", "crossing", "open")
 #: limits that the page reads without a column; of the columns it knows those before this one
 _WITHOUT_COLUMN, _COLUMNS = ("controller_bandwidth_hz", "detuning_percent"), kernel.LN_WEIGHTED
-#: what is required in words of its own, and weights, which the page's file leaves out
-_APART = ("structure", "objective", "masks", "at", "weights", "weighted_norm", *MASKED)
 FORMAT = "loopshape-shape/1"
 
 
@@ -201,44 +198,16 @@ def _loop(one: ShapingSession) -> dict[str, Any]:
 
 
 def requirement_words(required: Requirements) -> dict[str, Any]:
-    """What is required as its file has it; what is not asked for is left out."""
-    kept = [f.name for f in fields(required) if f.name not in _APART]
-    out = {name: getattr(required, name) for name in kept}
-    out |= {name: getattr(required, name) for name in MASKED if getattr(required, name)}  # 0 goes without saying
-    out |= {"masks": required.masks} if required.masks else {}
-    out |= {"at": [_at_points(x) for x in required.at]} if required.at else {}
-    if required.objective != Objective() and not required.objective.weighted_norm:
-        out["objective"] = _table(required.objective)
-    out |= {"structure": [_template(one) for one in required.structure]} if required.structure else {}
-    return {name: json_ready(value) for name, value in out.items() if value is not None}
-
-
-def _at_points(one: AtPoints) -> dict[str, Any]:
-    return {"where": one.where, **one.limits} | ({"masks": one.masks} if one.masks else {})
+    """What is required as its file has it, but for weights; what is not asked for is left out."""
+    objective = Objective() if required.objective.weighted_norm else required.objective
+    table = replace(required, weights=(), weighted_norm=None, objective=objective).to_table()
+    return {"loop": table.pop("name")} | {k: v for k, v in table.items() if v or k not in MASKED}
 
 
 def requirements_from(words: Mapping[str, Any]) -> Requirements:
     """What the page requires."""
     table = dict(words)
     return Requirements.from_table({"name": table.pop("loop", ""), **table})
-
-
-def _template(block: Any) -> dict[str, Any]:
-    head = {"kind": block.kind}
-    order = BLOCK_KINDS[block.kind].order
-    if order is not None:
-        head = {"kind": "low_pass", "order": order}
-    free = {
-        name: value
-        if isinstance(value, float)
-        else {"min": value.low, "max": value.high} | ({} if value.start is None else {"start": value.start})
-        for name, value in block.parameters.items()
-    }
-    return head | free | dict(block.tie)
-
-
-def _table(noun: Any) -> dict[str, Any]:
-    return {f.name: getattr(noun, f.name) for f in fields(noun) if getattr(noun, f.name) is not None}
 
 
 def controller_words(controller: Controller) -> dict[str, Any]:

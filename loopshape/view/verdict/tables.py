@@ -9,6 +9,7 @@ from loopshape.data.result.verdict_words import interval_text, row_of, unstable_
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
+    from loopshape.data.control.gain_scheduled import GainScheduled
     from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.baseline import Comparison, LineChange, MarginChange
     from loopshape.data.result.detuning import Reach
@@ -91,10 +92,10 @@ def _all_margins(verdict: Verdict) -> Table:
     return f"Margins of loop {verdict.loop}", columns, rows
 
 
-def phase_budget_tables(verdict: Verdict, controller: Controller) -> Iterator[Table]:
+def phase_budget_tables(verdict: Verdict, controller: Controller | GainScheduled) -> Iterator[Table]:
     """What each block costs in degrees where the phase margin is least; nothing where no |L| crosses 0 dB."""
     seen = {name: m for name, m in verdict.margins.items() if m["phase_margin_deg"].at_hz is not None}
-    if not seen or controller.loop != verdict.loop:
+    if not seen or controller.loop != verdict.loop or not hasattr(controller, "phase_budget"):
         return
     worst = min(seen, key=lambda name: seen[name].phase_margin_deg)
     at_hz = seen[worst]["phase_margin_deg"].at_hz or 0.0

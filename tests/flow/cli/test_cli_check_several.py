@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import loopshape as ls
 from loopshape.cli.verify.check import check as check_command
 from loopshape.io.requirements import OWN
+from loopshape.testing import ControllerTest, assert_controller
 
 F = np.arange(0.1, 20.0, 0.1)
 S = 1j * TWO_PI * F
@@ -144,3 +145,55 @@ def test_the_table_several_is_read(run):
     assert [one.loop for one in ls.read_requirements(run / "r.toml")] == ["a", "b"]
     (run / "r.toml").write_text('format = "loopshape-requirements/1"\n[[loop]]\nname = "a"\n')
     assert read_required(run / "r.toml")[1] is None
+
+
+def test_a_verdict_on_all_loops_is_kept_and_compared(run):
+    """The same again is unchanged; a gain lowered by 1 dB is the controllers' part, a fallen plant the plant's."""
+    assert said(run, "--no-figures", "--save-verdict", str(run / "kept.json")).exit_code == 0
+    done = said(run, "--no-figures", "--baseline", str(run / "kept.json"))
+    assert done.exit_code == 0, done.output
+    assert "Against the baseline: unchanged (0 margins worse, 0 better" in done.output
+    (kept,) = ls.read(run / "kept.json")
+    assert [part.loop for part in kept.parts] == ["a", "b", "a + b"]
+    write_controllers(run / "c.toml", [gain("a", 1.5), gain("b")])
+    compared = json.loads(said(run, "--no-figures", "--baseline", str(run / "kept.json"), "--json").stdout)["baseline"]
+    assert {x["loop"] for x in compared["margins"] if x["outcome"] == "worse"} == {"a", "b", "a + b"}
+    assert compared["by_controller"] is None
+    assert "loop a + b: other controllers, the same data" in compared["notes"]
+    write_matrices(run, [matrix(0.5)])
+    compared = json.loads(said(run, "--no-figures", "--baseline", str(run / "kept.json"), "--json").stdout)["baseline"]
+    parts = {name: {x["loop"] for x in compared[name]["margins"]} for name in ("by_controller", "by_plant")}
+    assert parts == {"by_controller": {"a", "b", "a + b"}, "by_plant": {"a", "b", "a + b"}}
+    whole, own, plant = (
+        {
+            (x["loop"], x["quantity"]): x["now"] - x["before"]
+            for x in one["margins"]
+            if None not in (x["now"], x["before"])
+        }
+        for one in (compared, compared["by_controller"], compared["by_plant"])
+    )
+    for key, change in whole.items():
+        assert own[key] + plant[key] == pytest.approx(change, abs=1e-9), key
+
+
+def test_a_projects_own_tests_hold_all_loops(run):
+    said(run, "--no-figures", "--save-verdict", str(run / "kept.json"))
+    given = run, run / "c.toml", run / "r.toml"
+    assert_controller(*given, baseline=run / "kept.json")
+    test = ControllerTest(*given)
+    wanted = [f"{loop}: {name}" for loop in ("a", "b") for name in ("modulus_margin", "stability")]
+    wanted += [f"all loops: {name}" for name in ("disk_margin", "sensitivity_peak_db", "stability")]
+    assert list(test.cases) == wanted
+    for case in wanted:
+        test.assert_case(case)
+    (run / "r.toml").write_text(REQUIREMENTS.format(disk=1.9))
+    with pytest.raises(AssertionError, match=r"disk_margin of loop a \+ b"):
+        ControllerTest(*given).assert_case("all loops: disk_margin")
+    with pytest.raises(AssertionError, match="disk_margin"):
+        assert_controller(*given)
+
+
+def test_what_read_gives_of_requirements_is_checked_as_the_command_does(run):
+    told = json.loads(said(run, "--no-figures", "--json").stdout)["loops"]
+    verdict = ls.check(matrix(0.3), ls.read(run / "c.toml"), ls.read(run / "r.toml"))
+    assert [json.loads(json.dumps(part.to_dict())) for part in verdict.parts] == told

@@ -15,7 +15,7 @@ from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, marg
 import loopshape as ls
 from loopshape.io.files import read_json
 from loopshape.io.write.verdicts import read_verdicts, write_verdicts
-from loopshape.loop.baseline import compare, same_controller
+from loopshape.loop.baseline import compare, same_controllers
 
 LINES = (
     line(interval=(38.0, 42.5)),
@@ -45,15 +45,15 @@ def same(one, other):
 def test_a_verdict_comes_back_as_it_was(tmp_path):
     write_verdicts(tmp_path / "deep" / "v.json", [FOUND, checked({"r1": margins()}, loop="second")])
     one, second = read_verdicts(tmp_path / "deep" / "v.json")
-    assert one.verdict.lines == LINES
-    assert list(one.verdict.margins) == list(POINTS)
+    assert one.lines == LINES
+    assert list(one.margins) == list(POINTS)
     for name, mine in POINTS.items():
-        same(one.verdict.margins[name], mine)
-    assert (one.verdict.loop, one.verdict.warnings, one.verdict.outcome) == ("axis", ("be careful",), "failed")
+        same(one.margins[name], mine)
+    assert (one.loop, one.warnings, one.outcome) == ("axis", ("be careful",), "failed")
     assert one.data == {"r1": "a-r1", "r2": "a-r2", "r3": "a-r3"}
-    assert same_controller(one.controller, FOUND.controller)
-    assert not same_controller(one.controller, replace(CONTROLLER, loop="axis"))
-    assert second.verdict.loop == "second"
+    assert same_controllers(one, FOUND)
+    assert not same_controllers(one, replace(FOUND, controllers=(CONTROLLER,)))
+    assert second.loop == "second"
 
 
 def test_the_same_verdict_gives_the_same_bytes_in_strict_json(tmp_path):
@@ -99,7 +99,7 @@ def rows(text):
 
 
 def test_the_summary_says_verdict_requirements_changes_and_margins():
-    text = summary([FOUND.verdict], {"Against the baseline": compared()})
+    text = summary([FOUND], {"Against the baseline": compared()})
     assert text.startswith("## loopshape check: **FAIL**\n")
     assert "Of 4 requirements 1 missed, 1 undecided; stable at 1 of 3 operating points." in text
     assert "- loop axis is undecided at r2: why; measure 0.1 to 2 Hz" in text
@@ -120,7 +120,7 @@ def test_the_summary_says_verdict_requirements_changes_and_margins():
 
 
 def test_the_summary_is_the_same_every_time():
-    assert summary([FOUND.verdict], {"x": compared()}) == summary([FOUND.verdict], {"x": compared()})
+    assert summary([FOUND], {"x": compared()}) == summary([FOUND], {"x": compared()})
 
 
 class Cells(HTMLParser):
@@ -150,7 +150,7 @@ def test_names_change_no_table_and_bring_no_mark_up():
         loop="l|<b>\n- *",
         warnings=["- *a*", "# b", "1. c"],
     )
-    text = summary([found.verdict], {"`x`": compare([found], [found])})
+    text = summary([found], {"`x`": compare([found], [found])})
     shown = Cells(MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"]).render(text))
     wanted = [name.replace("\n", " ") for name in names]
     width = 2 + len(LIMITS)
@@ -187,7 +187,7 @@ def failures(path):
 
 
 def test_junit_tells_missed_from_undecided_and_says_intervals(tmp_path):
-    write_junit(tmp_path / "j.xml", [FOUND.verdict])
+    write_junit(tmp_path / "j.xml", [FOUND])
     found = failures(tmp_path / "j.xml")
     name = "loopshape.axis"
     assert {key[1]: kind for key, (kind, _) in found.items()} == {
@@ -206,12 +206,12 @@ def test_junit_tells_missed_from_undecided_and_says_intervals(tmp_path):
 
 
 def test_junit_fails_what_is_worse_than_the_baseline_unless_that_is_allowed(tmp_path):
-    write_junit(tmp_path / "j.xml", [FOUND.verdict], compared())
+    write_junit(tmp_path / "j.xml", [FOUND], compared())
     worse = {key for key, (kind, _) in failures(tmp_path / "j.xml").items() if kind == "worse"}
     assert ("baseline.axis", "outcome of gain_margin_db") in worse
     assert ("baseline.axis", "stability in r3") in worse
     assert ("baseline", "old of loop axis is there") in worse
-    write_junit(tmp_path / "allowed.xml", [FOUND.verdict], compared(), allow_worse=True)
+    write_junit(tmp_path / "allowed.xml", [FOUND], compared(), allow_worse=True)
     assert {kind for kind, _ in failures(tmp_path / "allowed.xml").values()} == {"missed", "undecided"}
     suites = ET.parse(tmp_path / "j.xml").getroot()
     assert [suite.get("name") for suite in suites] == ["axis", "baseline"]

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bench_nouns import LIMITS, Block, Checked, RequirementResult
+from bench_nouns import LIMITS, Block, RequirementResult
 
 import loopshape as ls
 from loopshape.view.verdict import junit, markdown
@@ -42,5 +42,5 @@ def line(quantity="phase_margin_deg", outcome="passed", required=30.0, value=40.
 
 def checked(points, lines=(), loop="axis", controller=CONTROLLER, data="a", warnings=()):
     """A verdict on the margins of `points` by recording; equal `data` are the same FRFs."""
-    verdict = ls.Verdict(loop, tuple(lines), points, tuple(warnings))
-    return Checked(verdict, replace(controller, loop=loop), {name: f"{data}-{name}" for name in points})
+    made = {"controllers": (replace(controller, loop=loop),), "data": {name: f"{data}-{name}" for name in points}}
+    return ls.Verdict(loop, tuple(lines), points, tuple(warnings), **made)

@@ -5,7 +5,6 @@ from loopshape.data.control.controller import Precision, step
 from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable, gain_scheduled
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
-from loopshape.data.result.baseline import Checked
 from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
 from loopshape.data.result.prediction import INDICATORS, Indicators, Step, StepComparison
 from loopshape.data.result.verdict import RequirementResult
@@ -25,7 +24,6 @@ __all__ = [
     "Block",
     "BlockTemplate",
     "Channel",
-    "Checked",
     "Detuning",
     "Estimate",
     "Experiment",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from importlib import import_module
 from pathlib import Path
@@ -12,7 +12,9 @@ import numpy as np
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.interrupts import interrupts, unhurried
 from loopshape.core.units import Array
-from loopshape.data.result.baseline import Checked
+from loopshape.data.control.controller import Controller
+from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import RecordingInfo
@@ -117,8 +119,9 @@ def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | 
     Refuses, unless allowed, a kept verdict (`check --save-verdict`) that does not pass these very controllers, and a
     diagram whose controllers are unstable by themselves.
     """
-    kept = {} if file is None else {one.verdict.loop: one for one in read_verdicts(file)}
-    doubts = [note for loop in loops if (note := _verdict_doubt(loop, kept.get(loop.name), file))]
+    kept = {} if file is None else {own.loop: one for one in read_verdicts(file) for own in one.controllers}
+    running = {loop.name: loop.controller for loop in loops}
+    doubts = [note for loop in loops if (note := _verdict_doubt(loop, kept.get(loop.name), running, file))]
     radius = own_radius(wanted.blocks, 2 * len(wanted.outputs))
     if radius is None:
         doubts.append("the diagram has too many states for the stability of its controllers alone to be computed")
@@ -131,18 +134,25 @@ def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | 
     return (*doubts, *circle)
 
 
-def _verdict_doubt(loop: LoopSetup, kept: Checked | None, file: Path | None) -> str | None:
-    """A sentence where a loop's controller has no passed verdict in this file."""
+def _verdict_doubt(
+    loop: LoopSetup, kept: Verdict | None, running: Mapping[str, Controller | None], file: Path | None
+) -> str | None:
+    """A sentence where a loop's controller, with all that were closed beside it, has no passed verdict in this file."""
     if file is None:
         return f"loop {loop.name}: no verdict is given on its controller (loopshape check --save-verdict, --verdict)"
     if loop.controller is None:
         return f"loop {loop.name}: a schedule or diagram has no verdict in {file.name}"
     if kept is None:
         return f"loop {loop.name}: no verdict on it in {file.name}"
-    theirs, ours = kept.controller, loop.controller
-    if theirs.rate_hz != ours.rate_hz or not np.array_equal(theirs.biquads(), ours.biquads()):
+    if not all(_runs_the_same(own, running.get(own.loop)) for own in kept.controllers):
         return f"loop {loop.name}: the verdict in {file.name} is of another controller"
-    return None if kept.verdict.passed else f"loop {loop.name}: the verdict in {file.name} is {kept.verdict.outcome}"
+    return None if kept.passed else f"loop {loop.name}: the verdict in {file.name} is {kept.outcome}"
+
+
+def _runs_the_same(theirs: Controller | GainScheduled, ours: Controller | None) -> bool:
+    if ours is None or isinstance(theirs, GainScheduled):
+        return False
+    return theirs.rate_hz == ours.rate_hz and np.array_equal(theirs.biquads(), ours.biquads())
 
 
 def _older_target(identity: Identity) -> list[str]:

@@ -122,8 +122,8 @@ def test_the_shipped_controller_passes_by_the_workflows_own_commands(bench: Path
 
 def test_the_baseline_is_of_the_shipped_controller_and_its_recording() -> None:
     (kept,), (own,) = read_verdicts(BENCH / "verdict.json"), ls.read_controllers(BENCH / "controller.toml")
-    assert [block.to_table() for block in kept.controller.blocks] == [block.to_table() for block in own.blocks]
-    assert kept.verdict.outcome == "passed"
+    assert [block.to_table() for block in kept.controllers[0].blocks] == [block.to_table() for block in own.blocks]
+    assert kept.outcome == "passed"
     assert str(ROOT) not in (BENCH / "verdict.json").read_text()
 
 
@@ -200,7 +200,7 @@ def test_quiet_prints_nothing_and_json_is_one_object_without_nan(bench: Path) ->
 def test_what_was_not_found_is_null_in_json() -> None:
     from verdict_cases import checked, margins
 
-    found = checked({"r1": margins({"disk_margin": float("nan")})}).verdict.to_dict()["margins"]["r1"]
+    found = checked({"r1": margins({"disk_margin": float("nan")})}).to_dict()["margins"]["r1"]
     assert found["disk_margin"] is None
     assert found["bandwidth_hz"] == margins().bandwidth_hz
 
@@ -212,7 +212,7 @@ def test_an_undecided_line_says_how_much_more_measuring_would_decide(capsys: pyt
 
     points = {"r1": margins(stable="undecided", reason="why", band_hz=(0.0, 2.5))}
     lines = [line("gain_margin_db", "undecided", longer=3.1), line("modulus_margin", "undecided", longer=float("inf"))]
-    verdict = checked(points, lines).verdict
+    verdict = checked(points, lines)
     report_verdicts([verdict], Output())
     shown = capsys.readouterr()
     assert "undecided: 3.1 times the data would decide" in shown.out
@@ -274,7 +274,7 @@ def test_the_pytest_helper_fails_with_the_verdict_as_its_message(bench: Path) ->
         r"E +sensitivity_peak_db of loop motor: pass \(at most 6 dB\) to FAIL \(at most 6 dB\)", done.stdout
     )
     assert re.search(r"E +bandwidth_hz of loop motor is worse by [\d.]+ Hz: [\d.]+ to [\d.]+ Hz in type-a", done.stdout)
-    assert "check_files(" not in done.stdout  # the message, not the helper's own lines
+    assert "check_all(" not in done.stdout  # the message, not the helper's own lines
 
 
 def test_the_pytest_helper_needs_neither_typer_nor_matplotlib_nor_pytest() -> None:
@@ -297,8 +297,8 @@ def test_the_headline_names_what_fails_before_what_is_undecided() -> None:
     from loopshape.data.result.verdict_words import headline
 
     lines = [line("gain_margin_db", "undecided"), line("modulus_margin", "failed"), line("phase_margin_deg", "passed")]
-    said = headline([checked({"r1": margins()}, lines).verdict])
+    said = headline([checked({"r1": margins()}, lines)])
     assert said.startswith("modulus_margin of loop axis: required ")
     assert said.endswith("; 1 more not met or undecided")
-    alone = headline([checked({"r1": margins(stable="unstable", reason="why")}, lines[2:]).verdict])
+    alone = headline([checked({"r1": margins(stable="unstable", reason="why")}, lines[2:])])
     assert alone == "loop axis is unstable at r1: why"

@@ -10,7 +10,7 @@ from run_files import write_frfs
 
 import loopshape as ls
 from loopshape.io.requirements import profile_of
-from loopshape.io.write.check_files import check_files
+from loopshape.io.write.check_files import check_all
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.gap.own.file import _function, _unpacked
 
@@ -220,7 +220,7 @@ def test_a_mistake_of_requirements_ends_in_its_cure(mistake, tmp_path):
     write_frfs(tmp_path / "run", [P])
     (tmp_path / "c.toml").write_text(CONTROLLER)
     (tmp_path / "r.toml").write_text(text)
-    said = sentence(lambda: check_files(tmp_path / "run", tmp_path / "c.toml", tmp_path / "r.toml"))
+    said = sentence(lambda: check_all(tmp_path / "run", tmp_path / "c.toml", tmp_path / "r.toml"))
     assert [word for word in words if word not in said] == [], said
 
 

@@ -6,7 +6,7 @@ from bench_nouns import Block, TransferFunction
 from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.loop.baseline import checked, compare
+from loopshape.loop.baseline import compare
 
 F = np.arange(0.2, 40.01, 0.2)
 W = TWO_PI * 6.3
@@ -29,7 +29,7 @@ def measured(rng, relative, drift=1.0, own=None):
         ("z_v",), ("y_rad",), "made up", recording="r1", loop="theta2", rate_hz=1000.0,
     )  # fmt: skip
     own = own or controller()
-    return checked(ls.check([frf], own, WISHED), own, [frf])
+    return ls.check([frf], own, WISHED)
 
 
 @pytest.mark.long

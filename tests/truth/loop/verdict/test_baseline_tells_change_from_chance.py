@@ -10,7 +10,7 @@ from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, marg
 
 import loopshape as ls
 from loopshape.io.write.check_files import Baseline
-from loopshape.loop.baseline import bridge, compare, data_mark, same_controller
+from loopshape.loop.baseline import bridge, compare, data_mark, same_controllers
 
 HALF = 2.0
 
@@ -186,8 +186,8 @@ def test_the_way_across_is_needed_where_controller_and_data_both_changed():
     point = {"r1": margins()}
     for controller, data, wanted in ((OTHER, "b", ("axis",)), (OTHER, "a", ()), (CONTROLLER, "b", ())):
         assert bridge([checked(point)], [checked(point, controller=controller, data=data)]) == wanted
-    assert same_controller(CONTROLLER, replace(CONTROLLER))
-    assert not same_controller(CONTROLLER, replace(CONTROLLER, rate_hz=999.0))
+    assert same_controllers(checked(point), checked(point, controller=replace(CONTROLLER)))
+    assert not same_controllers(checked(point), checked(point, controller=replace(CONTROLLER, rate_hz=999.0)))
 
 
 def test_what_differs_underneath_is_said():
@@ -197,7 +197,7 @@ def test_what_differs_underneath_is_said():
     assert compare([before], [fallen]).notes == (
         "loop axis: the same controller, the same data; the program, its fits or the requirements have changed",
     )
-    half = replace(before, data=before.data | {"r2": "b"}, controller=OTHER)
+    half = replace(before, data=before.data | {"r2": "b"}, controllers=(OTHER,))
     assert compare([before], [half]).notes == ("loop axis: another controller, other data at 1 of 2 operating points",)
     assert compare([before], [checked({"r3": margins()})]).notes == ()
 
