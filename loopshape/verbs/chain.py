@@ -320,11 +320,12 @@ def shape(
 @overload
 def shape(
     P: Plants | Mapping[str, FRF],
-    C: Controller | Tuning | None,
-    R: Requirements | None,
+    C: Controller | Tuning | Sequence[Controller] | None,
+    R: Requirements | Sequence[Requirements] | None,
     out: None,
     *,
     fits: Sequence[Fit] = (),
+    together: Requirements | None = None,
 ) -> ShapeWidget: ...
 
 
@@ -340,7 +341,7 @@ def shape(
     """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
 
     With None for `out` it is a widget instead, for the cell of a notebook (extra `notebook`): its `controller` and
-    `requirements` follow the page and the page follows them.
+    `requirements` (of several loops tuples) follow the page and the page follows them.
 
     `P`: an FRF, several, or a mapping from operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
@@ -357,19 +358,15 @@ def shape(
     >>> page.name
     'shape.html'
     """
-    from loopshape.verbs.shaping import SeveralLoops, notebook_widget, shaped, write_page
+    from loopshape.verbs.shaping import ShapedLoops, notebook_widget, write_page
 
     plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     required, together = required_of(R, together)
     own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,)) if one is not None]
-    if len(own) > 1:
-        loops = SeveralLoops(plants, tuple(required), together).shaped(own)
-    else:
-        one = (*required, None)[0] if together is None else (*required, Requirements())[0].with_all(together)
-        loops = [shaped(plants, own[0] if own else None, one, tuple(fits))]
+    loops = ShapedLoops(plants, tuple(required), together, fits=tuple(fits))
     if out is None:
-        return notebook_widget(loops, "Shape")
-    write_page(Path(out), loops, "Shape")
+        return notebook_widget(loops, own, "Shape")
+    write_page(Path(out), loops.sessions(own), "Shape")
     return Path(out)
 
 

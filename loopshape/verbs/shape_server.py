@@ -22,7 +22,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.interrupts import until_interrupted
 from loopshape.data.control.block import BLOCK_KINDS, Block, BlockTemplate, Free
 from loopshape.loop.verdict import check
-from loopshape.verbs.shaping import SeveralLoops, page_of
+from loopshape.verbs.shaping import ShapedLoops, page_of
 from loopshape.view.page.payload import (
     ShapingSession,
     certificate_words,
@@ -47,7 +47,7 @@ class ShapeServer:
     """Answers of one page; `serve` runs until it is interrupted, `url` has the token."""
 
     def __init__(
-        self, loops: Sequence[ShapingSession], title: str, save: Path, several: SeveralLoops | None = None
+        self, loops: Sequence[ShapingSession], title: str, save: Path, several: ShapedLoops | None = None
     ) -> None:
         self.title, self.several = title, several
         self.save_to, self.token, self.lock = save, token_urlsafe(24), Lock()
@@ -130,7 +130,7 @@ class ShapeServer:
     def _close(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         if self.several is None:
             raise WrongUseError("the page has single loops", "close", "serve it with --matrix")
-        self._show(self.several.shaped([controller_from(words) for words in asked["controllers"]]))
+        self._show(self.several.sessions([controller_from(words) for words in asked["controllers"]]))
         return {"words": "each loop has the others closed as they are now"}
 
     def _save(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:

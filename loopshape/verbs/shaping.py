@@ -14,6 +14,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
+from loopshape.data.result.verdict import Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops, equivalent_plants, matrix_loops, unstable_poles_met
 from loopshape.loop.verdict import check
@@ -44,16 +45,22 @@ def _gain_of_one(frf: FRF) -> Controller:
 
 
 @dataclass(frozen=True, eq=False)
-class SeveralLoops:
-    """Matrix FRFs of one plant, and what is required of each loop and of all; `recorded_under` these controllers."""
+class ShapedLoops:
+    """FRFs of a plant, and what is required of each loop and of all; `recorded_under` these controllers."""
 
     frfs: tuple[FRF, ...]
     requirements: tuple[Requirements, ...] = ()
     together: Requirements | None = None
     recorded_under: tuple[Controller, ...] = ()
+    fits: tuple[Fit, ...] = ()
 
-    def shaped(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
+    def sessions(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
         """Each loop on the plant that it meets while the others are closed by these controllers."""
+        if len(controllers) < 2:
+            required = (*self.requirements, None)[0]
+            if self.together is not None:
+                required = (required or Requirements()).with_all(self.together)
+            return [shaped(self.frfs, (*controllers, None)[0], required, self.fits)]
         names = [one.loop for one in controllers]
         closed = closed_loops(self.frfs, controllers, names, self.recorded_under)
         loops, _ = matrix_loops(closed, (self.together or Requirements()).of_all())
@@ -66,24 +73,29 @@ class SeveralLoops:
         others = ClosedLoops(rest, unstable_poles_met(own.loop, loops, required))
         return ShapingSession(plants, own, required, (), check(plants, own, others.of_plant(required)), others)
 
+    def check(self, controllers: Sequence[Controller], requirements: Sequence[Requirements]) -> Verdict:
+        """What `check` says of these controllers under these requirements, all loops closed."""
+        closed = [one.loop for one in controllers] if len(controllers) > 1 else None
+        return check(
+            self.frfs, controllers, requirements, self.fits, together=self.together, closed=closed,
+            recorded_under=self.recorded_under,
+        )  # fmt: skip
+
 
 def page_of(loops: Sequence[ShapingSession], title: str, saved: str | None = None) -> bytes:
     """The page as bytes; with `saved`, the mark of what its Save may replace, it has the buttons that ask a server."""
     return shape_page(loops, title, __version__, saved=saved).encode("utf-8")
 
 
-def notebook_widget(loops: Sequence[ShapingSession], title: str) -> ShapeWidget:
-    """The page of one loop for a notebook's cell."""
-    if len(loops) > 1:
-        names = ", ".join(one.controller.loop for one in loops)
-        raise WrongUseError("a widget shapes one loop", names, "write the page of several to a file: give out")
+def notebook_widget(loops: ShapedLoops, controllers: Sequence[Controller], title: str) -> ShapeWidget:
+    """The page of loops for a notebook's cell."""
     try:
         from loopshape.view.page.widget import ShapeWidget
     except ModuleNotFoundError as error:
         raise WrongUseError(
             "a widget needs the package anywidget", "it is not installed", "pip install 'loopshape[notebook]'"
         ) from error
-    return ShapeWidget(loops[0], title, __version__)
+    return ShapeWidget(loops.sessions(controllers), title, __version__, loops.check)
 
 
 def write_page(path: Path, loops: Sequence[ShapingSession], title: str) -> int:
@@ -95,7 +107,7 @@ def write_page(path: Path, loops: Sequence[ShapingSession], title: str) -> int:
     return len(data)
 
 
-def several_run(run: Path, require: Path | None, controller: Path | None) -> tuple[SeveralLoops, list[ShapingSession]]:
+def matrix_run(run: Path, require: Path | None, controller: Path | None) -> tuple[ShapedLoops, list[ShapingSession]]:
     """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
     from loopshape.io.requirements import read_required
     from loopshape.io.write.check_files import recorded_under
@@ -106,8 +118,8 @@ def several_run(run: Path, require: Path | None, controller: Path | None) -> tup
         what = "loops are closed by their controllers"
         raise WrongUseError(what, "--matrix alone", "give them by --controller FILE")
     required, together = read_required(require) if require else ((), None)
-    made = SeveralLoops(read_several_loops(run), required, together, recorded_under(run))
-    return made, made.shaped(read_controllers(controller))
+    made = ShapedLoops(read_several_loops(run), required, together, recorded_under(run))
+    return made, made.sessions(read_controllers(controller))
 
 
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[ShapingSession]:

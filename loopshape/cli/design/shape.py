@@ -10,7 +10,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 
 if TYPE_CHECKING:
-    from loopshape.verbs.shaping import SeveralLoops
+    from loopshape.verbs.shaping import ShapedLoops
     from loopshape.view.page.payload import ShapingSession
 
 
@@ -39,11 +39,11 @@ def shape(
     One HTML file that works offline: drag blocks, type numbers, see every operating point. It gives controller.toml
     back, which check signs.
     """
-    from loopshape.verbs.shaping import several_run, shape_run, write_page
+    from loopshape.verbs.shaping import matrix_run, shape_run, write_page
 
     output, path, several = Output(as_json, quiet), out or run / "shape.html", None
     if matrix:
-        several, loops = several_run(run, require, controller)
+        several, loops = matrix_run(run, require, controller)
     else:
         loops = shape_run(run, require, controller)
     if serve:
@@ -56,7 +56,7 @@ def shape(
     output.json({"page": str(path), "bytes": size, "loops": [one.controller.loop for one in loops]})
 
 
-def _serve(loops: list[ShapingSession], title: str, save: Path, several: SeveralLoops | None) -> None:
+def _serve(loops: list[ShapingSession], title: str, save: Path, several: ShapedLoops | None) -> None:
     """The page until Ctrl+C."""
     from loopshape.verbs.shape_server import ShapeServer
 

@@ -90,9 +90,12 @@ def _rank(name: str, pages: Collection[str]) -> int:
 
 
 def _measured(folder: Path) -> tuple[Run | None, tuple[FRF, ...], tuple[FRF, ...]]:
-    """Run, FRFs and matrices, as far as they are there."""
+    """Run, FRFs and matrices, as far as they are there; a matrix of one loop is the FRF of that loop."""
     frfs = read_frfs(folder) if has_any(folder, FOLDER) else ()
-    matrices = read_matrices(folder) if has_any(folder, MATRICES) else ()
+    read = read_matrices(folder) if has_any(folder, MATRICES) else ()
+    known = {(one.loop, one.recording) for one in frfs}
+    frfs += tuple(x for x in read if x.response.shape[1:] == (1, 1) and (x.loop, x.recording) not in known)
+    matrices = tuple(one for one in read if one.response.shape[1:] != (1, 1))
     if not (folder / RUN_TOML).exists() and not (frfs or matrices):
         raise UnreadableInputError(
             "a report needs recordings or frequency responses",

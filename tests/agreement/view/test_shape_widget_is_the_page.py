@@ -5,12 +5,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import page_in_browser
 import pytest
+import several_cases
 import shaped_cases
 
 import loopshape as ls
-from loopshape.verbs.shaping import notebook_widget, shaped
 from loopshape.view.page.payload import controller_from, controller_words, requirement_words, requirements_from
 
 pytest.importorskip("anywidget", reason="the extra notebook (anywidget) is not installed")
@@ -108,8 +109,51 @@ def test_traits_tell_of_changes_and_refuse_another_loop(widget: Any) -> None:
     assert widget.controller.digest == C.digest
 
 
-def test_several_loops_ask_for_a_file() -> None:
-    P, R, C = shaped_cases.bench()
-    one = shaped([P], C, R, ())
-    with pytest.raises(ls.errors.WrongUseError, match="a widget shapes one loop"):
-        notebook_widget([one, one], "Shape")
+F = np.geomspace(0.1, 20.0, 120)
+
+
+def coupled() -> ls.FRF:
+    """Two axes, each moving the other by a third."""
+    G = np.array([[1.0, 0.3], [-0.3, 1.0]]) * (4.0 / (2j * np.pi * F * (0.04j * np.pi * F + 1.0)))[:, None, None]
+    return several_cases.frf_of(F, G, 0.01, loop="a+b")
+
+
+@pytest.fixture(scope="module")
+def pair() -> Any:
+    own = [several_cases.gain("a", 3.0), several_cases.gain("b", 2.0)]
+    required = [ls.Requirements("a", modulus_margin=0.5), ls.Requirements("b", modulus_margin=0.5)]
+    return ls.shape(coupled(), own, required, None, together=ls.Requirements(integrators=2, unstable_poles=0))
+
+
+def test_a_widget_of_several_loops_checks_them_closed(pair: Any) -> None:
+    own, R = pair.controller, pair.requirements
+    assert ([one.loop for one in own], [one.loop for one in R]) == (["a", "b"], ["a", "b"])
+    together = ls.Requirements(integrators=2, unstable_poles=0)
+    assert pair.check().to_dict() == ls.check(coupled(), own, R, together=together).to_dict()
+    with pytest.raises(ls.errors.WrongUseError, match="shapes loop 'a' at 1e.06 Hz and 'b' at 1e.06 Hz"):
+        pair.controller = own[:1]
+
+
+@pytest.mark.long
+def test_a_gain_of_the_second_loop_moves_it_in_python_and_back(pair: Any, page: Any) -> None:
+    from playwright.sync_api import expect
+
+    second = page.context.browser.new_page(viewport={"width": 1000, "height": 900})
+    sent = pair.get_state()
+    state = {name: sent[name] for name in ("payload", "script", "style", "controller", "requirements")}
+    second.evaluate(HOST, {"state": json.loads(json.dumps(state)), "script": sent["_esm"]})
+    cell = second.locator("#one")
+    cell.get_by_label("Loop", exact=True).select_option("1")
+    field = cell.get_by_label("gain of block 1, gain", exact=True)
+    expect(field).to_have_value("2")
+    field.fill("1.25")
+    field.press("Enter")
+    page_in_browser.until(second, "sent.length === 1")
+    ((controllers, required),) = second.evaluate("sent")
+    pair.set_state({"controller": controllers, "requirements": required})
+    assert [one.blocks[0].parameters["gain"] for one in pair.controller] == [3.0, 1.25]
+    back = [controller_words(one) for one in (pair.controller[0], several_cases.gain("b", 7.0))]
+    field.blur()  # what is being typed is not written over
+    second.evaluate("words => python('controller', words)", back)
+    expect(field).to_have_value("7")
+    second.close()

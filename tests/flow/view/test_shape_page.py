@@ -23,7 +23,7 @@ from bench_nouns import Block
 
 import loopshape as ls
 from loopshape.verbs.shape_server import ShapeServer
-from loopshape.verbs.shaping import SeveralLoops, shaped
+from loopshape.verbs.shaping import ShapedLoops, shaped
 from loopshape.view.page import page as page_module
 from loopshape.view.page.payload import ShapingSession, controller_words
 
@@ -399,7 +399,7 @@ def test_the_scripts_are_built_from_their_sources(tmp_path: Path) -> None:
 
 
 @contextmanager
-def served(loops: list[ShapingSession], folder: Path, several: SeveralLoops | None = None) -> Iterator[ShapeServer]:
+def served(loops: list[ShapingSession], folder: Path, several: ShapedLoops | None = None) -> Iterator[ShapeServer]:
     made = ShapeServer(loops, "bench", folder / "controller.toml", several)
     thread = Thread(target=made.serve)
     thread.start()
@@ -515,9 +515,9 @@ def test_served_each_loop_of_a_matrix_meets_the_others_as_they_are_now(browser: 
     f = np.arange(0.1, 20.0, 0.1)
     s = 2j * np.pi * f
     G = np.array([[1.0, 0.5], [-0.5, 1.0]]) * (4.0 / (s * (0.02 * s + 1.0)))[:, None, None]
-    several = SeveralLoops((several_cases.frf_of(f, G, 0.01, loop="a+b"),))
+    several = ShapedLoops((several_cases.frf_of(f, G, 0.01, loop="a+b"),))
     with served(
-        several.shaped([several_cases.gain("a", 6.0), several_cases.gain("b", 4.0)]), tmp_path, several
+        several.sessions([several_cases.gain("a", 6.0), several_cases.gain("b", 4.0)]), tmp_path, several
     ) as made:
         page = browser.new_context().new_page()
         page.goto(made.url)

@@ -69,7 +69,9 @@ export interface Model {
   off(event: string, does: () => void): void;
 }
 
-/** A cell of a notebook: controller and requirements are the model's, both ways. */
+const listed = <T>(value: T | T[]): T[] => (Array.isArray(value) ? value : [value]);
+
+/** A cell of a notebook: controllers and requirements, of several loops in lists, are the model's, both ways. */
 export class Cell implements Host {
   readonly root: HTMLElement;
   readonly area: HTMLElement;
@@ -100,22 +102,27 @@ export class Cell implements Host {
   }
 
   private read(page: Guest): void {
-    const controller = this.model.get("controller") as Controller;
-    const requirements = this.model.get("requirements") as Requirements;
-    const text = JSON.stringify([controller, requirements]);
+    const controllers = listed(this.model.get("controller") as Controller);
+    const required = listed(this.model.get("requirements") as Requirements);
+    const text = JSON.stringify([controllers, required]);
     if (text === this.known) return;
     this.known = text;
-    const kept = JSON.stringify(controller) === JSON.stringify(page.controllerAt(0));
-    page.replace(0, kept ? { ...page.designs[0], requirements } : designOf(controller, requirements));
+    controllers.forEach((controller, k) => {
+      const [requirements, design] = [required[k], page.designs[k]];
+      const kept = JSON.stringify(controller) === JSON.stringify(page.controllerAt(k));
+      if (kept && JSON.stringify(requirements) === JSON.stringify(design.requirements)) return;
+      page.replace(k, kept ? { ...design, requirements } : designOf(controller, requirements));
+    });
   }
 
   changed(page: Guest): void {
-    const [controller, { requirements }] = [page.controllerAt(0), page.designs[0]];
-    const text = JSON.stringify([controller, requirements]);
+    const [controllers, required] = [page.designs.map((_, k) => page.controllerAt(k)), page.designs.map((one) => one.requirements)];
+    const text = JSON.stringify([controllers, required]);
     if (text === this.known) return;
     this.known = text;
-    this.model.set("controller", controller);
-    this.model.set("requirements", requirements);
+    const several = controllers.length > 1;
+    this.model.set("controller", several ? controllers : controllers[0]);
+    this.model.set("requirements", several ? required : required[0]);
     this.model.save_changes();
   }
 
