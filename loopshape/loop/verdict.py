@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import ParamSpec
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from loopshape.loop.points import point_outcome
 
 #: a crossing is warned of where the error is reduced by less than this at so many lines and more up to a quarter of it
 LEAST_REDUCTION_DB, LEAST_LOW_LINES = 9.0, 2
+_P = ParamSpec("_P")
 #: what a check of a schedule does not show
 FROZEN = (
     "the margins are those of frozen operating points: they hold where the point moves slowly beside the loop, which is"
@@ -44,7 +46,7 @@ FROZEN = (
 )
 
 
-def check(
+def check_loops(
     frfs: Sequence[FRF],
     controllers: Controller | GainScheduled | Sequence[Controller | GainScheduled],
     requirements: Requirements | Sequence[Requirements] = (),
@@ -55,8 +57,8 @@ def check(
     recorded_under: Sequence[Controller] = (),
     detuned: bool = True,
     disturbances: Sequence[Disturbance] = (),
-) -> Verdict:
-    """Check controllers against the requirements of each loop and of all together, at every operating point measured.
+) -> tuple[Verdict, tuple[Loop, ...]]:
+    """The verdict on controllers under the requirements of each loop and of all together, and the loops it looked at.
 
     Every line holds limit, value with its 95 % interval, slack, and where it is worst. A requirement is passed, failed,
     or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
@@ -74,25 +76,6 @@ def check(
     Refuses loops without a controller or an output, requirements of loops that are not there, several rates, what
     disturbs several loops, limits on singular values where outputs have different units.
     """
-    return check_loops(
-        frfs, controllers, requirements, fits, together=together, closed=closed, recorded_under=recorded_under,
-        detuned=detuned, disturbances=disturbances,
-    )[0]  # fmt: skip
-
-
-def check_loops(
-    frfs: Sequence[FRF],
-    controllers: Controller | GainScheduled | Sequence[Controller | GainScheduled],
-    requirements: Requirements | Sequence[Requirements] = (),
-    fits: Sequence[Fit] = (),
-    *,
-    together: Requirements | None = None,
-    closed: Sequence[str] | None = None,
-    recorded_under: Sequence[Controller] = (),
-    detuned: bool = True,
-    disturbances: Sequence[Disturbance] = (),
-) -> tuple[Verdict, tuple[Loop, ...]]:
-    """`check`, and the loops that it looked at, one an operating point, for pictures."""
     asked = (requirements,) if isinstance(requirements, Requirements) else tuple(requirements)
     every = (controllers,) if isinstance(controllers, Controller | GainScheduled) else tuple(controllers)
     if not frfs:
@@ -112,6 +95,14 @@ def check_loops(
     frfs = [frf if frf.recorded_under or not under else replace(frf, recorded_under=under[0]) for frf in chosen.frfs]
     found, loops = _check_one(frfs, own, required, fits, detuned=detuned, disturbances=disturbances)
     return _kept(found, chosen), loops
+
+
+def _alone(checked: Callable[_P, tuple[Verdict, tuple[Loop, ...]]]) -> Callable[_P, Verdict]:
+    return lambda *given, **named: checked(*given, **named)[0]
+
+
+#: `check_loops` without the loops
+check = _alone(check_loops)
 
 
 def _kept(found: Verdict, closed: Closed) -> Verdict:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from math import inf, isfinite
 from typing import TYPE_CHECKING, NamedTuple
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
@@ -11,6 +12,7 @@ from loopshape.data.result.detuning import STABILITY, Lost
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
+    from loopshape.data.requirement.requirements import Limit
     from loopshape.data.result.margins import Margins
     from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 
@@ -19,8 +21,8 @@ COLUMNS = 80
 
 
 class Notation(NamedTuple):
-    """How a table writes numbers, nothing, what stands between two ends and before a limit or a bound, and units with
-    the factor to them."""
+    """How readings are written: numbers, nothing, what stands between two ends and before a limit or a bound, and units
+    with the factor to them."""
 
     figures: Callable[[float], str]
     nothing: str = "-"
@@ -28,6 +30,24 @@ class Notation(NamedTuple):
     senses: tuple[str, str] = ("at least", "at most")
     bounds: tuple[str, str] = ("", "")
     units: Mapping[str, tuple[str, float]] = {}
+
+    def unit(self, unit: str) -> tuple[str, float]:
+        """The unit that a quantity is written in, and the factor to it."""
+        return self.units.get(unit, (unit, 1.0))
+
+    def interval(self, ends: tuple[float, float] | None, factor: float = 1.0) -> str:
+        """A 95 % interval as people read it."""
+        return self.nothing if ends is None else self.between.join(self.figures(factor * end) for end in ends)
+
+    def reading(self, margins: Margins, limit: Limit) -> tuple[str, str]:
+        """A reading of margins and its interval, "" where there is none."""
+        read, (_, factor) = margins[limit.name], self.unit(limit.unit)
+        sign = "> " * (
+            limit.name == "detuning_percent" and margins.detuning is not None and margins.detuning.worst.beyond
+        )
+        known = read.value == read.value and read.value != -inf
+        ends = "" if read.interval is None or read.interval == (-inf, inf) else self.interval(read.interval, factor)
+        return f"{sign}{self.figures(factor * read.value)}" if known else self.nothing, ends
 
 
 def number(value: float) -> str:
@@ -37,6 +57,17 @@ def number(value: float) -> str:
 
 #: as a terminal shows it
 PRINTED = Notation(number)
+
+
+def known_limits(verdict: Verdict, among: Sequence[Limit]) -> list[Limit]:
+    """The limits of which a verdict has something to show: a number at some operating point, or a requirement."""
+    asked = {line.quantity for line in verdict.lines}
+    return [x for x in among if x.name in asked or any(isfinite(m[x.name].value) for m in verdict.margins.values())]
+
+
+def crossings_text(margins: Margins) -> str:
+    """All 0 dB crossings in Hz."""
+    return ", ".join(f"{f:.3g}" for f in margins.crossings_hz) or "none"
 
 
 class Row(NamedTuple):
@@ -79,14 +110,14 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
     """A requirement's row."""
     from loopshape.data.requirement.requirements import LIMIT_OF  # numpy with it: `--help` does without
 
-    unit, factor = notation.units.get(line.unit, (line.unit, 1.0))
+    unit, factor = notation.unit(line.unit)
 
     def figures(value: float) -> str:  # the unit of an error or an input is as large as it likes
         tiny = limit is not None and limit.disturbed and abs(value) < 1e-6
         return f"{value:.4g}" if tiny else notation.figures(factor * value)
 
     limit, bound = LIMIT_OF.get(line.quantity), line.bound
-    ends = "" if line.span is None else notation.between.join(figures(end) for end in line.span)
+    ends = notation._replace(figures=lambda value: figures(value / factor)).interval(line.span, factor)
     sign = "> " if line.beyond else "" if bound is None else notation.bounds[bound < line.value]
     return Row(
         line.quantity,
@@ -94,7 +125,7 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
         "" if limit is None else notation.senses[limit.sense == "at_most"],
         figures(line.required),
         sign + figures(line.value),
-        (ends or notation.nothing) + ("" if bound is None else " (bound)"),
+        ends + ("" if bound is None else " (bound)"),
         figures(line.slack),
         line.recording,
         line.at_hz,
@@ -113,17 +144,12 @@ def _decides(line: RequirementResult) -> str:
     return f"{line.longer:.2g} times the data would decide" if line.longer < 100.0 else "on the limit"
 
 
-def interval_text(interval: tuple[float, float] | None) -> str:
-    """A 95 % interval as people read it, a dash where there is none."""
-    return "-" if interval is None else f"{interval[0]:.4g} .. {interval[1]:.4g}"
-
-
 def line_text(line: RequirementResult) -> str:
     """A line in one sentence: required, found with its interval and where, slack, and what would decide it."""
     row, unit = row_of(line), _unit(line.unit)
     bound = "" if line.bound is None else "at least " if line.bound > line.value else "at most "
     found = f"{'more than ' if line.beyond else ''}{bound}{row.worst.removeprefix('> ')}{unit}"
-    interval = "" if line.span is None else f" (95 %: {interval_text(line.span)}{unit})"
+    interval = "" if line.span is None else f" (95 %: {PRINTED.interval(line.span)}{unit})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
     decides = f": {row.decides}" if row.decides else ""
     return f"required {row.asked}, found {found}{interval}{at} in {line.recording} (slack {row.slack}{unit}){decides}"

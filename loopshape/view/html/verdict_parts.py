@@ -12,7 +12,7 @@ from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
 from loopshape.data.result.detuning import WARNED_PERCENT, Reach
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import Row, band_text, row_of
+from loopshape.data.result.verdict_words import Row, band_text, crossings_text, known_limits, row_of
 from loopshape.loop.loop import Loop
 from loopshape.loop.run_report import CheckedLoop, RunReport
 from loopshape.view.html.markup import Content, Markup, joined, tag
@@ -25,11 +25,9 @@ from loopshape.view.html.words import (
     badge,
     count,
     figure,
-    interval,
     named,
     number,
     point,
-    shown_unit,
     sign,
     table,
     together,
@@ -209,7 +207,7 @@ def _detunings(found: Verdict) -> Markup | None:
             for x in m.detuning.resonances
         ]
         for what, *reaches in (whole, *single):
-            ends = [text for x in reaches for text in (_shift(x), interval(x.interval_percent))]
+            ends = [text for x in reaches for text in (_shift(x), TYPESET.interval(x.interval_percent))]
             rows.append([name, what, *ends])
     if not rows:
         return None
@@ -228,16 +226,17 @@ def _shift(reach: Reach) -> str:
 
 
 def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: Sequence[Limit]) -> Markup:
-    limits = [limit for limit in among if _told(found, limit)]
-    worst = {limit.name: _worst(found, limit) for limit in limits}
+    limits, asked = known_limits(found, among), {line.quantity: line for line in found.lines}
+    worst = {limit.name: _worst(found, limit, asked.get(limit.name)) for limit in limits}
     crossed = what == "Margins"
     columns = ["recording", "closed loop", *map(_column, limits)] + (["0 dB crossings [Hz]"] if crossed else [])
     rows = []
     for name, m in found.margins.items():
         row: list[Cell | Content] = [named(name, points.get(name, "")), badge(m.stable.outcome, m.stable)]
-        row += [_margin(m, limit, worst[limit.name] == name, _asked(found, limit)) for limit in limits]
-        rows.append([*row, _crossings(m)] if crossed else row)
-    endless = [limit.label for limit in among if _endless(found, limit)]
+        row += [_margin(m, limit, worst[limit.name] == name, asked.get(limit.name)) for limit in limits]
+        rows.append([*row, crossings_text(m)] if crossed else row)
+    left_out = [limit for limit in among if limit not in limits]
+    endless = [x.label for x in left_out if all(m[x.name].value == np.inf for m in found.margins.values())]
     return table(_caption(what, found, endless), columns, rows, sortable=len(rows) > 1)
 
 
@@ -249,26 +248,15 @@ def _caption(what: str, found: Verdict, endless: Sequence[str]) -> str:
     return f"{what} of loop {found.loop}: {told}{many if len(found.margins) > 1 else ''}.{ends}"
 
 
-def _told(found: Verdict, limit: Limit) -> bool:
-    """Whether a quantity has something to show: a number somewhere, or a requirement."""
-    values = [m[limit.name].value for m in found.margins.values()]
-    return bool(np.isfinite(values).any()) or _asked(found, limit) is not None
-
-
-def _endless(found: Verdict, limit: Limit) -> bool:
-    return not _told(found, limit) and all(m[limit.name].value == np.inf for m in found.margins.values())
-
-
 def _column(limit: Limit) -> str:
-    unit, _ = shown_unit(limit)
+    unit, _ = TYPESET.unit(limit.unit)
     return f"{limit.short} [{unit}]" if unit else limit.short
 
 
-def _worst(found: Verdict, limit: Limit) -> str:
+def _worst(found: Verdict, limit: Limit, named: RequirementResult | None) -> str:
     """The recording that the verdict names, else that of the least or greatest value; none of a single one."""
     if len(found.margins) < 2:
         return ""
-    named = _asked(found, limit)
     if named is not None:
         return named.recording
     values = {name: limit.sign * m[limit.name].value for name, m in found.margins.items()}
@@ -276,24 +264,12 @@ def _worst(found: Verdict, limit: Limit) -> str:
     return min(values, key=lambda name: values[name], default="") if len(set(values.values())) > 1 else ""
 
 
-def _asked(found: Verdict, limit: Limit) -> RequirementResult | None:
-    return next((line for line in found.lines if line.quantity == limit.name), None)
-
-
 def _margin(m: Margins, limit: Limit, worst: bool, asked: RequirementResult | None) -> Cell:
-    _, factor = shown_unit(limit)
-    value, reach = factor * m[limit.name].value, m[limit.name].interval
-    beyond = limit.name == "detuning_percent" and m.detuning is not None and m.detuning.worst.beyond
-    shown = f"> {number(value)}" if beyond else number(value)
+    shown, ends = TYPESET.reading(m, limit)
     parts: list[Content] = [tag("span", "worst", class_="flag") if worst else None, " ", shown]
-    if reach is not None and np.isfinite(reach).any():
-        parts.append(tag("span", interval(reach, factor), class_="interval95"))
+    parts += [tag("span", ends, class_="interval95")] if ends else []
     kind = None if not worst else f"worst {asked.outcome if asked is not None else ''}".strip()
-    return figure(value, joined(parts), kind)
-
-
-def _crossings(m: Margins) -> str:
-    return ", ".join(number(f, 3) for f in m.crossings_hz) or "none"
+    return figure(TYPESET.unit(limit.unit)[1] * m[limit.name].value, joined(parts), kind)
 
 
 def certificate(one: CheckedLoop) -> Markup:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from math import isinf, isnan
 
 from loopshape.core.outcomes import Outcome
-from loopshape.data.requirement.requirements import Limit
 from loopshape.data.result.verdict_words import Notation
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.labels import split_unit
@@ -32,16 +31,6 @@ def number(value: float | None, figures: int = 4) -> str:
         return "∞" if value > 0 else "\N{MINUS SIGN}∞"
     shown = "0" if abs(value) < 1e-9 else f"{value:.{figures}g}"
     return shown.replace("e-0", "e-").replace("e+0", "e").replace("e+", "e").replace("-", "\N{MINUS SIGN}")
-
-
-def interval(found: tuple[float, float] | None, factor: float = 1.0) -> str:
-    """A 95 % interval, a dash without one."""
-    return DASH if found is None else f"{number(factor * found[0])} … {number(factor * found[1])}"
-
-
-def shown_unit(limit: Limit) -> tuple[str, float]:
-    """Unit that a quantity is shown in, and the factor to it: delays in ms, plain numbers without a unit."""
-    return TYPESET.units.get(limit.unit, (limit.unit, 1.0))
 
 
 #: how the report writes a verdict's table

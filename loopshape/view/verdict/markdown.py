@@ -6,11 +6,11 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
-from loopshape.data.requirement.requirements import LIMITS
+from loopshape.data.requirement.requirements import LIMIT_OF, Limit
 from loopshape.data.result.baseline import Comparison
-from loopshape.data.result.margins import Reading
+from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.result.verdict_words import interval_text, row_of, stability_text, unstable_text
+from loopshape.data.result.verdict_words import PRINTED, known_limits, number, row_of, stability_text, unstable_text
 from loopshape.view.verdict.tables import comparison_tables
 
 #: what Markdown or GitHub's reader would take for more than a letter
@@ -65,28 +65,24 @@ def _comparison(title: str, comparison: Comparison) -> list[str]:
 
 
 def _margins(verdict: Verdict) -> str:
-    shown = [limit for limit in LIMITS if any(_is_known(m[limit.name].value) for m in verdict.margins.values())]
+    shown = known_limits(verdict, list(LIMIT_OF.values()))
     columns = ["operating point", "closed loop", *(f"{limit.short} [{limit.unit}]" for limit in shown)]
     rows = [
-        [name, m.stable if m.stable is ClosedLoop.STABLE else stability_text(m), *(_margin(m[x.name]) for x in shown)]
+        [name, m.stable if m.stable is ClosedLoop.STABLE else stability_text(m), *(_reading(m, x) for x in shown)]
         for name, m in verdict.margins.items()
     ]
     head = f"<details><summary>Margins of loop {_html(verdict.loop)} at each operating point</summary>"
     return f"{head}\n\n{_table(columns, rows)}\n\n</details>"
 
 
-def _margin(read: Reading) -> str:
-    shown = f"{read.value:.4g}" if _is_known(read.value) else "-"
-    return shown if read.interval is None else f"{shown} ({interval_text(read.interval)})"
-
-
-def _is_known(value: float) -> bool:
-    return value == value and value != float("-inf")
+def _reading(margins: Margins, limit: Limit) -> str:
+    value, ends = PRINTED.reading(margins, limit)
+    return f"{value} ({ends})" if ends else value
 
 
 def _table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     cells = [
-        [f"{cell:.4g}" if isinstance(cell, float) else "-" if cell is None else str(cell) for cell in x] for x in rows
+        [number(cell) if isinstance(cell, float) else "-" if cell is None else str(cell) for cell in x] for x in rows
     ]
     lines = [[*map(_escaped, row)] for row in (columns, *cells)]
     lines.insert(1, ["---"] * len(columns))

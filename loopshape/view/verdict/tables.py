@@ -5,7 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
-from loopshape.data.result.verdict_words import interval_text, row_of, unstable_text, verdict_rows
+from loopshape.data.result.verdict_words import (
+    PRINTED,
+    crossings_text,
+    known_limits,
+    row_of,
+    unstable_text,
+    verdict_rows,
+)
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
@@ -49,47 +56,27 @@ def zone_sentence(verdict: Verdict, profile: Profile) -> str:
     return f"Loop {verdict.loop}: zone {best.name}, peak |S| {worst:.1f} dB ({rest}): {best.means}."
 
 
+#: what is shown of a single loop in 80 columns
+_FIRST = {"bandwidth_hz": "bandwidth", "gain_margin_db": "GM", "phase_margin_deg": "PM", "sensitivity_peak_db": "|S|"}
+
+
 def margins_table(verdict: Verdict, *, details: bool = True) -> Table:
     """The margins of each operating point; without `details` those of a single loop in 80 columns."""
-    if verdict.together:
-        return _several(verdict)
-    return _all_margins(verdict) if details else _first_margins(verdict)
+    from loopshape.data.requirement.requirements import LIMIT_OF  # numpy with it: `--help` does without
 
-
-def _first_margins(verdict: Verdict) -> Table:
-    rows = [
-        [name, m.stable, m.bandwidth_hz, m.gain_margin_db, m.phase_margin_deg, m.sensitivity_peak_db]
-        for name, m in verdict.margins.items()
+    limits = known_limits(verdict, list(LIMIT_OF.values())) if details else [LIMIT_OF[x] for x in _FIRST]
+    rows: list[list[Any]] = [
+        [name, m.stable, *(PRINTED.reading(m, x)[0] for x in limits)] for name, m in verdict.margins.items()
     ]
-    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "|S| [dB]"]
-    return f"Margins of loop {verdict.loop}", columns, rows
-
-
-def _several(verdict: Verdict) -> Table:
-    """Margins of all loops at once at each operating point, and the changes that bring them to their limit."""
-    rows: list[list[Any]] = []
-    for recording, m in verdict.together.items():
-        numbers = [m.gain_margin_db, m.phase_margin_deg, m.input_output_disk_margin, m.modulus_margin]
-        peaks = [x if x == x else None for x in (m.sensitivity_peak_db, m.complementary_peak_db)]
-        lost = (f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items())
-        interval = interval_text(m["disk_margin"].interval)
-        disk = [m.disk_margin, interval, *numbers, *peaks, m["disk_margin"].at_hz]
-        rows.append([recording, m.stable, *disk, ", ".join(lost)])
-    columns = ["recordings", "closed loops", "disk margin", "95 % interval", "GM [dB]", "PM [deg]", "in and out"]
-    return "All loops at once", [*columns, "modulus", "S [dB]", "T [dB]", "at [Hz]", "lost by"], rows
-
-
-def _all_margins(verdict: Verdict) -> Table:
-    rows: list[list[Any]] = []
-    for name, m in verdict.margins.items():
-        detuning = "-" if m.detuning is None else f"{'> ' * m.detuning.worst.beyond}{m.detuning_percent:.3g}"
-        margins = [m.bandwidth_hz, m.gain_margin_db, m.phase_margin_deg, m.modulus_margin, 1e3 * m.delay_margin_s]
-        peaks = [m.sensitivity_peak_db, m.complementary_peak_db, m.control_peak_db]
-        crossings = ", ".join(f"{f:.3g}" for f in m.crossings_hz) or "none"
-        rows.append([name, m.stable, *margins, detuning, *peaks, crossings])
-    columns = ["recording", "closed loop", "bandwidth [Hz]", "GM [dB]", "PM [deg]", "modulus", "delay [ms]"]
-    columns += ["detuning [%]", "|S| [dB]", "|T| [dB]", "|CS| [dB]", "0 dB crossings [Hz]"]
-    return f"Margins of loop {verdict.loop}", columns, rows
+    columns = ["recording", "closed loop", *(f"{x.short if details else _FIRST[x.name]} [{x.unit}]" for x in limits)]
+    if not details:
+        return f"Margins of loop {verdict.loop}", columns, rows
+    for row, m in zip(rows, verdict.margins.values(), strict=True):
+        lost = [f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items()]
+        row.append(", ".join(lost) if m.loops else crossings_text(m))
+    if verdict.together:
+        return "All loops at once", [*columns, "lost by"], rows
+    return f"Margins of loop {verdict.loop}", [*columns, "0 dB crossings [Hz]"], rows
 
 
 def phase_budget_tables(verdict: Verdict, controller: Controller | GainScheduled) -> Iterator[Table]:
@@ -115,7 +102,7 @@ def _detunings(verdict: Verdict) -> Iterator[Table]:
         whole = ("all frequencies", m.detuning.up, m.detuning.down)
         single = [(f"{x.frequency_hz:.4g} Hz, damping {x.damping:.2g}", x.up, x.down) for x in m.detuning.resonances]
         for what, up, down in (whole, *single):
-            ends = [interval_text(reach.interval_percent) for reach in (up, down)]
+            ends = [PRINTED.interval(reach.interval_percent) for reach in (up, down)]
             rows.append([name, what, reach_text(up), ends[0], reach_text(down), ends[1]])
     columns = ["recording", "what moves", "up (what breaks)", "95 % interval", "down (what breaks)", "95 % interval"]
     yield f"Detuning margins of loop {verdict.loop}", columns, rows
@@ -129,7 +116,7 @@ def comparison_tables(title: str, comparison: Comparison) -> Iterator[Table]:
         yield f"{title}: outcomes", ["requirement", "loop", "before", "required", "now", "required now"], lines
     if moved := comparison.largest():
         columns = ["margin", "loop", "unit", "before", "now", "change", "its 95 % interval", "at", "points", "outcome"]
-        intervals = ["exact" if x.interval is None else interval_text(x.interval) for x, _ in moved]
+        intervals = ["exact" if x.interval is None else PRINTED.interval(x.interval) for x, _ in moved]
         rows = [
             [x.quantity, x.loop, x.unit, x.before, x.now, x.change, interval, x.recording, points, x.outcome]
             for (x, points), interval in zip(moved, intervals, strict=True)
@@ -151,7 +138,7 @@ def comparison_text(title: str, comparison: Comparison) -> str:
 def change_text(change: MarginChange, points: int = 1) -> str:
     """A margin's change in one sentence; `points` is at how many operating points it is so."""
     unit = "" if change.unit == "1" else f" {change.unit}"
-    interval = "" if change.interval is None else f" ({interval_text(change.interval)}{unit})"
+    interval = "" if change.interval is None else f" ({PRINTED.interval(change.interval)}{unit})"
     others = f" and {points - 1} more" if points > 1 else ""
     return (
         f"{change.quantity} of loop {change.loop} is {change.outcome} by {abs(change.change):.4g}{unit}{interval}:"

@@ -130,7 +130,7 @@ def test_a_widget_of_several_loops_checks_them_closed(pair: Any) -> None:
     assert ([one.loop for one in own], [one.loop for one in R]) == (["a", "b"], ["a", "b"])
     together = ls.Requirements(integrators=2, unstable_poles=0)
     assert pair.check().to_dict() == ls.check(coupled(), own, R, together=together).to_dict()
-    with pytest.raises(ls.errors.WrongUseError, match="shapes loop 'a' at 1e.06 Hz and 'b' at 1e.06 Hz"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"shapes loop 'a' at 1e.06 Hz and 'b' at 1e.06 Hz"):
         pair.controller = own[:1]
 
 
