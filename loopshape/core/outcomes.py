@@ -20,6 +20,12 @@ class Graded(StrEnum):
         """The worst of some; the best where there are none."""
         return max(map(cls, found), key=lambda one: one.severity, default=next(iter(cls)))
 
+    @property
+    def outcome(self) -> Outcome:
+        """The same as an outcome: the best passes, the worst fails, what lies between decides nothing."""
+        grades = list(type(self))
+        return Outcome.PASSED if self is grades[0] else Outcome.FAILED if self is grades[-1] else Outcome.UNDECIDED
+
 
 class Outcome(Graded):
     """What data say of a controller under requirements: each is also its word."""
@@ -41,10 +47,36 @@ class ClosedLoop(Graded):
     UNDECIDED = "undecided"
     UNSTABLE = "unstable"
 
-    @property
-    def outcome(self) -> Outcome:
-        """The same as an outcome: an unstable loop fails."""
-        return list(Outcome)[self.severity]
+
+class Convergence(Graded):
+    """How the search of a fit's parameters ended."""
+
+    CONVERGED = "converged"
+    AT_BOUND = "at_bound"
+    NOT_CONVERGED = "not_converged"
+
+
+class Settling(Graded):
+    """Whether a step's response came to rest within what was seen."""
+
+    SETTLED = "settled"
+    NOT_SETTLED = "not settled"
+
+
+class Agreement(Graded):
+    """What a measurement says of a prediction."""
+
+    CONFIRMED = "confirmed"
+    CANNOT_TELL = "cannot tell"
+    REFUTED = "refuted"
+
+
+class Coupling(Graded):
+    """What data say of the coupling between two loops in a band."""
+
+    DECOUPLED = "decoupled"
+    UNDECIDED = "undecided"
+    COUPLED = "coupled"
 
 
 class Change(Graded):

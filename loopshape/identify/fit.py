@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import chdtrc, ndtr
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
+from loopshape.core.outcomes import Convergence
 from loopshape.core.units import SUFFIXES, TWO_PI, Array, ComplexArray, angular, db
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit
@@ -200,7 +201,7 @@ def fit_best(
             made.insert(0, found)
             if weighting == "variance":  # what the criterion counts
                 hopeless = min(hopeless, FAR * max(found.chi2_per_dof, 1.0) * (2 * found.lines - len(found.parameters)))
-    good = [found for found in made if found.outcome == "converged"] or made
+    good = [found for found in made if found.converged] or made
     least = min(criterion(found) for found in good)
     near = [found for found in good if criterion(found) <= least + 10.0]
     return min(near, key=lambda found: (len(found.parameters), criterion(found)))
@@ -221,7 +222,7 @@ def fit_automatically(
     named = [structure_by_name(name) for name in STRUCTURES[:4]]
     best = fit_best(frf, named, weighting=weighting, band_hz=band_hz)
     lines = (frf.between(*band_hz) if band_hz is not None else frf.valid_lines()).frequency_hz.size
-    if (best.outcome == "converged" and best.misfit_db < FOLLOWS_DB) or 2 * lines < 16:
+    if (best.converged and best.misfit_db < FOLLOWS_DB) or 2 * lines < 16:
         return best
     orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]
     rational = [Rational(n, d, k, delay=True) for n, d, k in orders]
@@ -295,7 +296,7 @@ class Solution:
     chi2_per_dof: float
     p_value: float
     runs_p_value: float
-    outcome: str
+    outcome: Convergence
     starts: int = 1
     agreeing: int = 1
 
@@ -371,7 +372,8 @@ def solve(
     freedom, stretch = _freedom(J, inverse, share)
     chi2_per_dof = float(np.sum(np.abs(left) ** 2)) / freedom
     covariance = inverse @ (J.T @ (share[:, None] * J)) @ inverse * max(chi2_per_dof, 1.0) * data.overlap
-    outcome = "not_converged" if found.status <= 0 else ("at_bound" if np.any(found.active_mask) else "converged")
+    ended = Convergence.AT_BOUND if np.any(found.active_mask) else Convergence.CONVERGED
+    outcome = Convergence.NOT_CONVERGED if found.status <= 0 else ended
     p_value, runs = residual_tests(left, freedom, data, stretch)
     if chi2_per_dof < NO_NOISE:
         runs = 1.0

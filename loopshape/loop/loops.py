@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import Convergence
 from loopshape.core.units import db, from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
@@ -156,7 +157,7 @@ def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirem
     against = next((x for x in (poles, integrators) if x[1] is not None and x[1] != x[2]), None)
     if fit.frf_digest not in ("", measured.digest):
         why = "it was made for another FRF"
-    elif fit.outcome == "not_converged":
+    elif fit.outcome is Convergence.NOT_CONVERGED:
         why = "it did not converge"
     elif not fit.sufficient:
         why = f"it leaves more than noise (misfit {fit.misfit_db:.2g} dB)"

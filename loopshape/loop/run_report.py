@@ -91,14 +91,14 @@ class CheckedLoop:
     verdict: Verdict
 
     @property
-    def outcome(self) -> str:
-        """The verdict's, but "none" for a stable loop of which nothing was asked: that passes nothing."""
+    def outcome(self) -> Outcome | None:
+        """The verdict's, but None for a stable loop of which nothing was asked: that passes nothing."""
         return asked_outcome(self.verdict)
 
 
-def asked_outcome(verdict: Verdict) -> str:
-    """The outcome of a verdict, but "none" where nothing was asked and nothing failed."""
-    return "none" if verdict.passed and not verdict.lines else verdict.outcome
+def asked_outcome(verdict: Verdict) -> Outcome | None:
+    """The outcome of a verdict, but None where nothing was asked and nothing failed."""
+    return None if verdict.passed and not verdict.lines else verdict.outcome
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,8 +149,8 @@ class RunReport:
     author: str = ""
 
     @property
-    def outcome(self) -> str:
-        """Outcome over all loops: "failed", "undecided", "passed", or "none" where nothing was asked of any loop."""
+    def outcome(self) -> Outcome | None:
+        """The worst outcome over all loops, None where nothing was asked of any."""
         found = [*(one.outcome for one in self.checked), *map(asked_outcome, self.inner.values())]
-        found = [word for word in found if word != "none"] + ["undecided"] * bool(self.unchecked)
-        return Outcome.worst(found) if found else "none"
+        asked = [one for one in found if one is not None] + [Outcome.UNDECIDED] * bool(self.unchecked)
+        return Outcome.worst(asked) if asked else None

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.outcomes import ClosedLoop, Outcome
+from loopshape.core.outcomes import Agreement, ClosedLoop, Outcome
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.profile import Profile, zone_shares
 from loopshape.data.requirement.requirements import Requirements
@@ -201,7 +201,7 @@ class CheckedRun:
     allow_worse: bool = False
 
     @property
-    def outcome(self) -> str | None:
+    def outcome(self) -> Outcome | None:
         """The outcome of all loops, None where nothing was required."""
         return Outcome.worst(one.outcome for one in self.checks.verdicts) if self.required else None
 
@@ -293,10 +293,15 @@ class ComparedRun:
     predictions: tuple[Remeasured, ...] | None = None
 
     @property
-    def outcome(self) -> str:
+    def outcome(self) -> Agreement:
         """The worst of all comparisons."""
-        outcomes = {c.outcome for c in self.comparisons}
-        return next((word for word in ("refuted", "cannot tell", "confirmed") if word in outcomes), "cannot tell")
+        found = [one.outcome for one in self.comparisons]
+        return Agreement.worst(found) if found else Agreement.CANNOT_TELL
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether all comparisons confirm what was predicted."""
+        return self.outcome is Agreement.CONFIRMED
 
 
 def compare(

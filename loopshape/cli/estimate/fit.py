@@ -97,5 +97,5 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
             f"{len(bad)} of {len(fits)} models leave more than the noise (adequate? no): their intervals are widened,"
             " and checks use the FRF itself"
         )
-    output.warn(f"{f.recording}: the fit ended as {f.outcome}" for f in fits if f.outcome != "converged")
+    output.warn(f"{f.recording}: the fit ended as {f.outcome}" for f in fits if not f.converged)
     output.json({"run": str(folder), "fits": fits})

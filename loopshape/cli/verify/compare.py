@@ -48,7 +48,7 @@ def compare(
         report(found.predictions, output)
         output.say("\n".join([*(["figures:", *drawn] if drawn else []), f"predictions: {found.outcome}"]))
         output.json({"outcome": found.outcome, "predictions": found.predictions, "figures": drawn})
-    if found.outcome != "confirmed":
+    if not found.confirmed:
         raise typer.Exit(1)
 
 

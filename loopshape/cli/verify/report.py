@@ -33,7 +33,7 @@ def report(
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())
-    output.say(f"verdict: {'no requirement' if made.outcome == 'none' else WORDS[made.outcome]}")
+    output.say(f"verdict: {'no requirement' if made.outcome is None else WORDS[made.outcome]}")
     output.say(f"report: {path} ({size / 1e6:.1f} MB)")
-    answer = {"outcome": made.outcome, "missing": made.missing, "figures_left_out": made.figures_left_out}
+    answer = {"outcome": made.outcome or "none", "missing": made.missing, "figures_left_out": made.figures_left_out}
     output.json({"report": str(path), "bytes": size, **answer})

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.outcomes import Coupling
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.response.frf import FRF
 
@@ -118,7 +119,7 @@ class BandVerdict(Plain):
 
     loops: tuple[str, str]
     band_hz: tuple[float, float]
-    verdict: str
+    verdict: Coupling
     limit_db: float
     lines: int
     at_hz: float = float("nan")
@@ -129,6 +130,9 @@ class BandVerdict(Plain):
     hole_hz: tuple[float, float] | None = None
     averages_factor: float = 1.0
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "verdict", Coupling(self.verdict))
+
     @property
     def sentence(self) -> str:
         """The verdict for people."""
@@ -136,9 +140,9 @@ class BandVerdict(Plain):
         return f"{head}, {self._why()}"
 
     def _why(self) -> str:
-        if self.verdict == "decoupled":
+        if self.verdict is Coupling.DECOUPLED:
             return f"|k_I| is at most {self.high_db:.1f} dB (95 %, at {self.at_hz:.3g} Hz; limit {self.limit_db:g} dB)"
-        if self.verdict == "coupled":
+        if self.verdict is Coupling.COUPLED:
             return (
                 f"|k_I| is above {self.limit_db:g} dB at {len(self.coupled_hz)} of {self.lines} lines,"
                 f" most at {self.at_hz:.3g} Hz: {self.estimate_db:.1f} dB, {self.low_db:.1f} at least"
@@ -151,7 +155,7 @@ class BandVerdict(Plain):
     @property
     def way_out(self) -> str:
         """What would decide an undecided band; "" for a decided one."""
-        if self.verdict != "undecided":
+        if self.verdict is not Coupling.UNDECIDED:
             return ""
         if self.hole_hz is not None:
             return f"no frequency is valid from {self.hole_hz[0]:.3g} to {self.hole_hz[1]:.3g} Hz: excite more there"
@@ -186,7 +190,7 @@ class Interaction(Plain):
     @property
     def decoupled(self) -> bool:
         """Whether every pair is decoupled in every band; undecided is not."""
-        return all(v.verdict == "decoupled" for v in self.verdicts)
+        return all(v.verdict is Coupling.DECOUPLED for v in self.verdicts)
 
     @property
     def largest_rga_number(self) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.outcomes import Convergence
 from loopshape.core.units import Array, ComplexArray, angular
 
 
@@ -96,7 +97,7 @@ class Fit(Plain):
     model: TransferFunction
     parameters: tuple[Estimate, ...]
     covariance: Array
-    outcome: str
+    outcome: Convergence
     chi2_per_dof: float
     p_value: float
     runs_p_value: float
@@ -112,11 +113,19 @@ class Fit(Plain):
     starts: int = 1
     starts_agreeing: int = 1
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outcome", Convergence(self.outcome))
+
     def __repr__(self) -> str:
         """One line: structure, parameters, misfit and whether it leaves nothing but noise."""
         numbers = ", ".join(f"{p.name} {p.value:.4g}" for p in self.parameters)
         left = "leaves nothing but noise" if self.sufficient else "leaves more than noise"
         return f"Fit {self.structure}: {numbers}; misfit {self.misfit_db:.2g} dB, {left}"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the search of the parameters ended within their bounds."""
+        return self.outcome is Convergence.CONVERGED
 
     @property
     def sufficient(self) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.outcomes import ClosedLoop
+from loopshape.core.outcomes import Agreement, ClosedLoop, Settling
 from loopshape.core.units import Array, db
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
@@ -38,8 +38,11 @@ class Indicators:
     settling_time_5_s: float
     overshoot: float
     steady_state_error: float
-    outcome: str = "settled"
+    outcome: Settling = Settling.SETTLED
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outcome", Settling(self.outcome))
 
 
 #: fields of `Indicators` with their units, in the order of tables
@@ -164,7 +167,7 @@ class Comparison:
     predicted_from: str
     measured_from: str
     operating_point: Mapping[str, float]
-    outcome: str
+    outcome: Agreement
     p_value: float
     level: float
     lines: int
@@ -174,6 +177,9 @@ class Comparison:
     predicted_peak_db: float = float("nan")
     measured_peak_db: float = float("nan")
     notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outcome", Agreement(self.outcome))
 
     @property
     def worst(self) -> Band | None:

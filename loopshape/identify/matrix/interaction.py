@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import Coupling
 from loopshape.core.units import Array, ComplexArray, db, from_db
 from loopshape.data.algebra import channels
 from loopshape.data.algebra.propagation import invert
@@ -186,17 +187,17 @@ def _verdict(pair: _LoopPair, loops: tuple[str, str], limit_db: float, band: tup
     f = pair.frequency_hz
     lines = np.flatnonzero(pair.valid & (f >= band[0]) & (f <= band[1]))
     if not lines.size:
-        return BandVerdict(loops, band, "undecided", limit_db, 0, averages_factor=float("inf"), hole_hz=band)
+        return BandVerdict(loops, band, Coupling.UNDECIDED, limit_db, 0, averages_factor=float("inf"), hole_hz=band)
     limit = float(from_db(limit_db))
     hole = _hole(pair, lines, band)
     word, coupled = _word(pair, lines, limit, 1.0)
-    if word == "decoupled" and hole is not None:
-        word = "undecided"
+    if word is Coupling.DECOUPLED and hole is not None:
+        word = Coupling.UNDECIDED
     low, high = pair.bounds(lines)
-    if word == "coupled":
+    if word is Coupling.COUPLED:
         low = pair.bounds(lines, _shared_tail(lines.size)).low
-    k = int(np.argmax(low if word == "coupled" else high))
-    factor = _more_averages(pair, lines, limit) if word == "undecided" and hole is None else 1.0
+    k = int(np.argmax(low if word is Coupling.COUPLED else high))
+    factor = _more_averages(pair, lines, limit) if word is Coupling.UNDECIDED and hole is None else 1.0
     return BandVerdict(
         loops, band, word, limit_db, int(lines.size), float(f[lines[k]]), float(db(low[k])),
         float(db(pair.coefficient[lines[k]])), float(db(high[k])), tuple(f[lines[coupled]].tolist()), hole, factor,
@@ -207,12 +208,12 @@ def _shared_tail(lines: int) -> float:
     return float(-np.expm1(np.log1p(-TAIL) / lines))
 
 
-def _word(pair: _LoopPair, lines: np.ndarray, limit: float, more: float) -> tuple[str, np.ndarray]:
+def _word(pair: _LoopPair, lines: np.ndarray, limit: float, more: float) -> tuple[Coupling, np.ndarray]:
     """Verdict on some lines, and which of them are coupled, of so many times the averages."""
     if np.all(_expected(pair, lines, TAIL, more).high < limit):
-        return "decoupled", np.zeros(lines.size, dtype=bool)
+        return Coupling.DECOUPLED, np.zeros(lines.size, dtype=bool)
     coupled = _expected(pair, lines, _shared_tail(lines.size), more).low > limit
-    return ("coupled" if coupled.any() else "undecided"), coupled
+    return (Coupling.COUPLED if coupled.any() else Coupling.UNDECIDED), coupled
 
 
 def _expected(pair: _LoopPair, lines: np.ndarray, tail: float, more: float) -> Reach:

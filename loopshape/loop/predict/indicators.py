@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from loopshape.core.errors import BadSignalError
+from loopshape.core.outcomes import Settling
 from loopshape.core.units import Array
 from loopshape.data.result.prediction import INDICATORS, Indicators, StepComparison, Tracking
 from loopshape.data.signal.experiment import LoopSetup
@@ -31,7 +32,7 @@ def indicators(time_s: Array, response: Array, *, floor: float = 0.0, final: flo
     y1 = float(np.mean(response[-max(1, round(END * response.size)) :])) if final is None else final
     if abs(y1) < 1e-9:
         nan = float("nan")
-        return Indicators(nan, nan, nan, nan, 1.0, "not settled")
+        return Indicators(nan, nan, nan, nan, 1.0, Settling.NOT_SETTLED)
     y, floor = response / y1, floor / abs(y1)
     stays = np.abs(y[-max(1, round(STAYS * y.size)) :] - 1.0) <= max(0.02, floor)
     overshoot = float(y.max()) - 1.0
@@ -41,7 +42,7 @@ def indicators(time_s: Array, response: Array, *, floor: float = 0.0, final: flo
         settling_time_5_s=_settled_from(time_s, y, max(0.05, floor)),
         overshoot=overshoot if overshoot > floor else 0.0,
         steady_state_error=1.0 - y1,
-        outcome="settled" if stays.all() else "not settled",
+        outcome=Settling.SETTLED if stays.all() else Settling.NOT_SETTLED,
     )
 
 

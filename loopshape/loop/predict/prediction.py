@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.outcomes import ClosedLoop
+from loopshape.core.outcomes import Agreement, ClosedLoop
 from loopshape.core.units import db
 from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
@@ -179,12 +179,13 @@ def _tested(
     one, two, missed, more = on_common_lines(first, second)
     notes += more
     if not missed.size:
-        return _compared(loop, first, second, "cannot tell", level, tolerance_db, notes)
+        return _compared(loop, first, second, Agreement.CANNOT_TELL, level, tolerance_db, notes)
     lines = paired(one, two, missed, tolerance_db, plants)
     p_value, bands = tested(lines)
     noticed = noticed_db(lines, level)
     sharp = noticed <= max(NOTICED_DB, 2.0 * tolerance_db)
-    outcome = "refuted" if p_value < level else "confirmed" if sharp else "cannot tell"
+    passed = Agreement.CONFIRMED if sharp else Agreement.CANNOT_TELL
+    outcome = Agreement.REFUTED if p_value < level else passed
     return replace(
         _compared(loop, first, second, outcome, level, tolerance_db, notes),
         p_value=p_value,
@@ -197,7 +198,7 @@ def _tested(
 
 
 def _compared(
-    loop: str, first: FRF, second: FRF, outcome: str, level: float, tolerance_db: float, notes: tuple[str, ...]
+    loop: str, first: FRF, second: FRF, outcome: Agreement, level: float, tolerance_db: float, notes: tuple[str, ...]
 ) -> Comparison:
     """The noun of two measurements, without numbers yet."""
     return Comparison(

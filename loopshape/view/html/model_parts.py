@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from loopshape.core.outcomes import Outcome
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.model import Estimate, Fit
 from loopshape.loop.run_report import FittedModel
@@ -124,4 +125,4 @@ def _estimate(p: Estimate) -> Cell:
 
 
 def _ended(fit: Fit) -> Content:
-    return fit.outcome if fit.outcome == "converged" else badge("undecided", fit.outcome.replace("_", " "))
+    return fit.outcome if fit.converged else badge(Outcome.UNDECIDED, fit.outcome.replace("_", " "))

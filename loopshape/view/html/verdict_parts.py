@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.core.outcomes import ClosedLoop
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
 from loopshape.data.result.detuning import WARNED_PERCENT, Reach
 from loopshape.data.result.margins import Margins
@@ -40,14 +40,15 @@ GAUGE_WIDTH, GAUGE_HEIGHT = 170, 26
 def verdict(report: RunReport) -> Markup:
     """The word for the whole run, and a card for each loop."""
     heads = {
-        "passed": "Every requirement holds on the measured data.",
-        "failed": "At least one requirement is missed, or a loop is unstable.",
-        "undecided": "Nothing is surely missed, and these data do not decide all of it.",
-        "none": "No requirement was checked against these data.",
+        Outcome.PASSED: "Every requirement holds on the measured data.",
+        Outcome.FAILED: "At least one requirement is missed, or a loop is unstable.",
+        Outcome.UNDECIDED: "Nothing is surely missed, and these data do not decide all of it.",
+        None: "No requirement was checked against these data.",
     }
     cards = [_card(one.verdict.loop, one.outcome, _sentences(one)) for one in report.checked]
     cards += [
-        _card(name, "undecided", ["Asked for, and not checked: see what is missing."]) for name in report.unchecked
+        _card(name, Outcome.UNDECIDED, ["Asked for, and not checked: see what is missing."])
+        for name in report.unchecked
     ]
     whole = tag("p", joined([badge(report.outcome), " ", heads[report.outcome]]), class_="whole")
     row = tag("div", *cards, class_="cards-row") if cards else None
@@ -80,10 +81,13 @@ def hanging(found: Verdict) -> Markup | None:
     return tag("p", tag("strong", f"{words} ({name})."), class_="hangs")
 
 
-def _card(loop: str, outcome: str, sentences: Iterable[Content]) -> Markup:
+def _card(loop: str, outcome: Outcome | None, sentences: Iterable[Content]) -> Markup:
     head = tag("h3", joined([sign(outcome), f" Loop {loop}: {WORDS[outcome]}"]))
     return tag(
-        "div", head, joined(s if isinstance(s, Markup) else tag("p", s) for s in sentences), class_=f"card {outcome}"
+        "div",
+        head,
+        joined(s if isinstance(s, Markup) else tag("p", s) for s in sentences),
+        class_=f"card {outcome or 'none'}",
     )
 
 
@@ -96,16 +100,16 @@ def _sentences(one: CheckedLoop) -> list[Content]:
         if names:
             verb = "is unstable" if word is ClosedLoop.UNSTABLE else "is neither proven stable nor unstable"
             said.append(f"The closed loop {verb} at {_few(names)}.")
-    for outcome, head in (("failed", "Missed"), ("undecided", "Not decided by these data")):
-        lines = [line for line in found.lines if line.outcome == outcome]
+    for outcome, head in ((Outcome.FAILED, "Missed"), (Outcome.UNDECIDED, "Not decided by these data")):
+        lines = [line for line in found.lines if line.outcome is outcome]
         if lines:
             said += [f"{head}:", tag("ul", *(tag("li", _in_words(line)) for line in lines))]
-    if one.outcome == "passed":
+    if one.outcome is Outcome.PASSED:
         every = f"All {count(len(found.lines), 'requirement')}" if len(found.lines) > 1 else "The requirement"
         said.append(
             f"{every} hold{'' if len(found.lines) > 1 else 's'}, and the closed loop is stable, at {_all(points)}."
         )
-    if one.outcome == "none":
+    if one.outcome is None:
         said.append(f"The closed loop is stable at {_all(points)}; no requirements were given.")
     return said
 

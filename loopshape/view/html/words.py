@@ -14,12 +14,12 @@ from loopshape.view.labels import split_unit
 
 DASH = "\N{EN DASH}"
 #: outcome -> its word
-WORDS = {one.value: one.word for one in Outcome} | {"none": "no verdict"}
+WORDS: dict[Outcome | None, str] = {None: "no verdict"} | {one: one.word for one in Outcome}
 _SIGNS = {
-    "passed": "M4.5 10.5l3.6 3.8 7.4-8.4",
-    "failed": "M5.5 5.5l9 9m0-9l-9 9",
-    "undecided": "M7 7.6c0-4 6-4 6-.4 0 2.4-3 2.4-3 4.8m0 2.6v.6",
-    "none": "M5 10h10",
+    Outcome.PASSED: "M4.5 10.5l3.6 3.8 7.4-8.4",
+    Outcome.FAILED: "M5.5 5.5l9 9m0-9l-9 9",
+    Outcome.UNDECIDED: "M7 7.6c0-4 6-4 6-.4 0 2.4-3 2.4-3 4.8m0 2.6v.6",
+    None: "M5 10h10",
 }
 
 
@@ -56,15 +56,17 @@ def count(n: int, what: str) -> str:
     return f"{n} {what}{'' if n == 1 else 's'}"
 
 
-def sign(outcome: str) -> Markup:
+def sign(outcome: Outcome | None) -> Markup:
     """An outcome's sign: tick, cross, question mark or dash, told apart without colour."""
     shape = tag("path", d=_SIGNS[outcome])
     return tag("svg", shape, class_="sign", viewBox="0 0 20 20", aria_hidden="true", focusable="false")
 
 
-def badge(outcome: str, word: str | None = None) -> Markup:
+def badge(outcome: Outcome | None, word: str | None = None) -> Markup:
     """An outcome as sign and word."""
-    return tag("span", joined([sign(outcome), tag("span", word or WORDS[outcome])]), class_=f"badge {outcome}")
+    return tag(
+        "span", joined([sign(outcome), tag("span", word or WORDS[outcome])]), class_=f"badge {outcome or 'none'}"
+    )
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ def _by_point(ax: Axes, fits: Sequence[Fit], name: str, keys: Sequence[str]) -> 
         aside = gap * (k - 0.5 * (len(lines) - 1))
         x = np.array([fit.operating_point[keys[0]] for fit in members]) + aside
         _errorbars(ax, x, members, name, labels[k], shades(len(lines))[k], MARKERS[k % len(MARKERS)])
-    if any(fit.outcome != "converged" for fit in fits):
+    if any(not fit.converged for fit in fits):
         ax.plot([], [], "o", color=QUIET, markerfacecolor="white", label="not converged")
     ax.set_xticks(places, numbers(list(places)))
     ax.set_xlabel(quantity(keys[0]))
@@ -88,7 +88,7 @@ def _errorbars(
         "markersize": 4.0,
     } | look
     ax.errorbar(x, values, yerr=half_width, label=label, marker=marker, **style)
-    failed = np.array([fit.outcome != "converged" for fit in fits])
+    failed = np.array([not fit.converged for fit in fits])
     if failed.any():
         hollow: dict[str, Any] = {
             "markerfacecolor": "white",

@@ -220,7 +220,7 @@ def _fit_lines(fit: Fit | None) -> tuple[str, ...]:
         return ()
     readable = [p for p in fit.parameters if p.unit != "SI"]  # bare coefficients say nothing to a reader
     numbers = ", ".join(_estimate(p) for p in readable)
-    outcome = "" if fit.outcome == "converged" else f", {fit.outcome.replace('_', ' ')}"
+    outcome = "" if fit.converged else f", {fit.outcome.replace('_', ' ')}"
     misfit = f"misfit {fit.misfit_db:.2g} dB{outcome}"
     return (f"fit {fit.structure.replace('_', ' ')}: {f'{numbers} (95 %), ' if numbers else ''}{misfit}",)
 

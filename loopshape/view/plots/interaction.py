@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
+from loopshape.core.outcomes import Coupling
 from loopshape.core.units import Array, db, deg
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import BandVerdict, EquivalentPlant, Interaction
@@ -27,7 +28,7 @@ from loopshape.view.plots.frequency import shade_band
 from loopshape.view.plots.matrix import settled
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, head, new_figure, styled
 
-VERDICT_COLOURS = {"decoupled": "#E8E8E8", "undecided": "#A6A6A6", "coupled": "#3C3C3C"}
+VERDICT_COLOURS = dict(zip(Coupling, ("#E8E8E8", "#A6A6A6", "#3C3C3C"), strict=True))
 _CEILING_DB = 400.0
 _FEW = 3  # pairs that share a panel of half the width
 _MANY = 9  # partial coherences beyond which no curve can be told
@@ -79,7 +80,7 @@ def _strips(ax: Axes, found: Interaction) -> float:
 
 def _key(ax: Axes, found: Interaction) -> float:
     """What colours mean, of pairs where there are several and of verdicts; gives its share of the height."""
-    words = [word for word in VERDICT_COLOURS if any(v.verdict == word for v in found.verdicts)]
+    words = [word for word in VERDICT_COLOURS if any(v.verdict is word for v in found.verdicts)]
     handles: list[Artist] = [Patch(facecolor=VERDICT_COLOURS[word], label=word) for word in words]
     if len(found.coefficients) > 1:
         texts = [_pair_text(one.loops) for one in found.coefficients]
@@ -271,5 +272,5 @@ def _words(verdicts: Sequence[BandVerdict]) -> list[str]:
 
 
 def _counted(verdicts: Sequence[BandVerdict]) -> str:
-    counts = [(word, sum(v.verdict == word for v in verdicts)) for word in VERDICT_COLOURS]
+    counts = [(word, sum(v.verdict is word for v in verdicts)) for word in VERDICT_COLOURS]
     return f"of {len(verdicts)} bands " + ", ".join(f"{count} {word}" for word, count in counts if count)

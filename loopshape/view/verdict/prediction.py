@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import Agreement
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import Comparison, Prediction, StepComparison
@@ -96,7 +97,7 @@ def comparison_grid(
             draw_band(ax, frf.frequency_hz, *magnitude_band_db(frf), color=colour, alpha=0.25)
             ax.plot(frf.frequency_hz, db(frf.siso), color=colour, linewidth=0.8)
         worst = found.worst
-        if found.outcome == "refuted" and worst is not None:
+        if found.outcome is Agreement.REFUTED and worst is not None:
             ax.axvspan(worst.low_hz, worst.high_hz, color=LIMIT, alpha=0.10, linewidth=0.0)
         frequency_axis(ax, band[0], band[1], label=False)
         _panel_title(ax, point(found.operating_point) or found.measured_from, _verdict(found), found.outcome)
@@ -105,7 +106,7 @@ def comparison_grid(
         ax.set_ylim(max(5.0 * np.floor(low / 5.0), -45.0), 12.0)
     _outer_labels(panels[: len(shown)], "frequency [Hz]", "|S| [dB]")
     _legend(figure, [("predicted, 95 %", _PREDICTED), ("measured, 95 %", _MEASURED)])
-    confirmed = sum(c.outcome == "confirmed" for c in comparisons)
+    confirmed = sum(c.outcome is Agreement.CONFIRMED for c in comparisons)
     head(
         figure, f"Sensitivity of loop {symbol(comparisons[0].loop)}: {confirmed} of {len(comparisons)} confirmed",
         f"level {comparisons[0].level:.2g} each, deviations of {comparisons[0].tolerance_db:g} dB rms count as none;"
@@ -116,7 +117,7 @@ def comparison_grid(
 
 def _departure(found: Comparison) -> float:
     """How far a comparison is from its prediction, in dB; of those that are not refuted nothing."""
-    return abs(found.worst.sensitivity_db) if found.outcome == "refuted" and found.worst is not None else 0.0
+    return abs(found.worst.sensitivity_db) if found.outcome is Agreement.REFUTED and found.worst is not None else 0.0
 
 
 def _most_telling(departures: Sequence[float]) -> list[int]:
@@ -130,7 +131,7 @@ def _left_out(shown: int, every: int) -> list[str]:
 
 def _verdict(found: Comparison) -> str:
     worst = found.worst
-    if found.outcome != "refuted" or worst is None:
+    if found.outcome is not Agreement.REFUTED or worst is None:
         return found.outcome
     return f"{worst.sensitivity_db:+.1f} dB at {worst.low_hz:.2g}-{worst.high_hz:.2g} Hz".replace(
         "-", "\N{MINUS SIGN}", int(worst.sensitivity_db < 0.0)
@@ -158,7 +159,7 @@ def steps_grid(steps: Sequence[StepComparison]) -> Figure:
         ax.axhline(1.0, color="0.3", linewidth=0.6, zorder=1.5)
         misses = [step.largest_miss for step in mine if np.isfinite(step.largest_miss)]
         off = f"off by {100.0 * max(misses):.0f} % at most" if misses else "not predicted"
-        _panel_title(ax, place, off, "confirmed" if misses else "cannot tell")
+        _panel_title(ax, place, off, Agreement.CONFIRMED if misses else Agreement.CANNOT_TELL)
         ax.set_xlim(0.0, last)
         ax.set_ylim(-0.25, 1.75)
     _outer_labels(panels[: len(places)], "time after the step [s]", "output [1]")
@@ -190,9 +191,9 @@ def _grid(count: int) -> tuple[Figure, list[Axes]]:
     return figure, panels
 
 
-def _panel_title(ax: Axes, first: str, second: str, outcome: str) -> None:
+def _panel_title(ax: Axes, first: str, second: str, outcome: Agreement) -> None:
     ax.set_title(first, fontsize=8.0, loc="left", pad=2.5)
-    colour = LIMIT if outcome == "refuted" else "0.25"
+    colour = LIMIT if outcome is Agreement.REFUTED else "0.25"
     box: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.6, "alpha": 0.85}
     ax.text(0.97, 0.06, second, fontsize=7.5, ha="right", va="bottom", color=colour, transform=ax.transAxes, bbox=box)
 

@@ -289,7 +289,7 @@ def test_frfs_alone_are_drawn_and_the_rest_is_asked_for(tmp_path: Path) -> None:
 
 def test_a_controller_without_requirements_passes_nothing(run: Path) -> None:
     found = gather(run, run.parent / "controller.toml", None, DATE)
-    assert found.outcome == "none"
+    assert found.outcome is None
     text = Page(page(found)).text
     assert "no requirements were given" in text
     assert "plant with 1 integrator (by phase and slope at its lowest frequencies, from 0.25 Hz)" in text
