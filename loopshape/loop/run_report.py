@@ -12,14 +12,13 @@ from loopshape.core.outcomes import Outcome
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
-from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit
 from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.recording import RecordingInfo
 from loopshape.data.signal.run import Run
-from loopshape.loop.loop import Loop
+from loopshape.loop.verdict import LoopCheck
 
 
 @dataclass(frozen=True)
@@ -77,25 +76,6 @@ class RecordingSheet:
     faults: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class CheckedLoop:
-    """One loop under its controller at every operating point measured; `requirements` is None where none were given.
-
-    `frfs` are the plants with all their lines, `loops` on those that a check looks at, in the same order.
-    """
-
-    frfs: tuple[FRF, ...]
-    loops: tuple[Loop, ...]
-    controller: Controller
-    requirements: Requirements | None
-    verdict: Verdict
-
-    @property
-    def outcome(self) -> Outcome | None:
-        """The verdict's, but None for a stable loop of which nothing was asked: that passes nothing."""
-        return asked_outcome(self.verdict)
-
-
 def asked_outcome(verdict: Verdict) -> Outcome | None:
     """The outcome of a verdict, but None where nothing was asked and nothing failed."""
     return None if verdict.passed and not verdict.lines else verdict.outcome
@@ -136,7 +116,7 @@ class RunReport:
     frfs: tuple[FRF, ...] = ()
     matrices: tuple[FRF, ...] = ()
     fits: tuple[FittedModel, ...] = ()
-    checked: tuple[CheckedLoop, ...] = ()
+    checked: tuple[LoopCheck, ...] = ()
     unchecked: tuple[str, ...] = ()
     controllers: tuple[Controller, ...] = ()
     missing: tuple[Missing, ...] = ()
@@ -151,6 +131,6 @@ class RunReport:
     @property
     def outcome(self) -> Outcome | None:
         """The worst outcome over all loops, None where nothing was asked of any."""
-        found = [*(one.outcome for one in self.checked), *map(asked_outcome, self.inner.values())]
+        found = [*map(asked_outcome, [*(one.verdict for one in self.checked), *self.inner.values()])]
         asked = [one for one in found if one is not None] + [Outcome.UNDECIDED] * bool(self.unchecked)
         return Outcome.worst(asked) if asked else None

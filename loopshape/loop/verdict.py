@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import ParamSpec
 
 import numpy as np
@@ -29,10 +29,10 @@ from loopshape.loop.margin.disturbed import (
     disturbance_warnings,
     of_loop,
     of_points,
-    refuse_several_disturbed,
+    refuse_disturbed,
 )
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.matrix.several_margins import several_margins
+from loopshape.loop.matrix.matrix_margins import matrix_margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import point_outcome
 
@@ -46,6 +46,36 @@ FROZEN = (
 )
 
 
+@dataclass(frozen=True, eq=False)
+class LoopCheck:
+    """Loops that are closed together, one or several, at every operating point: what was checked, and what came out.
+
+    `frfs` are the plants with all their lines, `loops` on those that a check looks at, in the same order.
+    """
+
+    verdict: Verdict
+    loops: tuple[Loop, ...]
+    frfs: tuple[FRF, ...]
+    requirements: tuple[Requirements, ...] = ()
+    fits: tuple[Fit, ...] = ()
+    together: Requirements | None = None
+    recorded_under: tuple[Controller, ...] = ()
+
+    @property
+    def required(self) -> Requirements | None:
+        """What is required of one loop; None where nothing was given."""
+        return (*self.requirements, None)[0]
+
+    def under(self, controllers: Sequence[Controller | GainScheduled]) -> Verdict:
+        """The verdict on other controllers of the same loops."""
+        alone = all(frf.response.shape[1:] == (1, 1) for frf in self.frfs)
+        closed = None if alone else [one.loop for one in controllers]
+        return check(
+            self.frfs, controllers, self.requirements, self.fits, together=self.together, closed=closed,
+            recorded_under=self.recorded_under,
+        )  # fmt: skip
+
+
 def check_loops(
     frfs: Sequence[FRF],
     controllers: Controller | GainScheduled | Sequence[Controller | GainScheduled],
@@ -57,8 +87,8 @@ def check_loops(
     recorded_under: Sequence[Controller] = (),
     detuned: bool = True,
     disturbances: Sequence[Disturbance] = (),
-) -> tuple[Verdict, tuple[Loop, ...]]:
-    """The verdict on controllers under the requirements of each loop and of all together, and the loops it looked at.
+) -> LoopCheck:
+    """Check controllers against the requirements of each loop and of all together, at every operating point measured.
 
     Every line holds limit, value with its 95 % interval, slack, and where it is worst. A requirement is passed, failed,
     or not decided by these data. A loop that is unstable, or whose stability the data cannot decide, does not pass.
@@ -85,24 +115,25 @@ def check_loops(
     if len(asked) > 1 or len(chosen.names) > 1:
         _refuse_unknown(asked, chosen.names)
     if len(chosen.names) > 1:
-        refuse_several_disturbed(chosen.names, disturbances)
+        refuse_disturbed(chosen.names, disturbances)
         loops, notes = matrix_loops(chosen, whole := (together or Requirements()).of_all())
-        return _kept(_verdict_on_all(loops, chosen, asked, whole, fits, notes), chosen), loops
-    required = asked[0] if asked else Requirements(chosen.names[0])
-    if together is not None:
-        required = required.with_all(together.of_all())
-    (own,), under = chosen.controllers, chosen.recorded_under
-    frfs = [frf if frf.recorded_under or not under else replace(frf, recorded_under=under[0]) for frf in chosen.frfs]
-    found, loops = _check_one(frfs, own, required, fits, detuned=detuned, disturbances=disturbances)
-    return _kept(found, chosen), loops
+        found = _verdict_on_all(loops, chosen, asked, whole, fits, notes)
+    else:
+        required = asked[0] if asked else Requirements(chosen.names[0])
+        required = required if together is None else required.with_all(together.of_all())
+        (own,), under = chosen.controllers, chosen.recorded_under
+        plants = [x if x.recorded_under or not under else replace(x, recorded_under=under[0]) for x in chosen.frfs]
+        found, loops = _check_one(plants, own, required, fits, detuned=detuned, disturbances=disturbances)
+    kept = _kept(found, chosen)
+    return LoopCheck(kept, loops, tuple(frfs), asked, tuple(fits), together, tuple(recorded_under))
 
 
-def _alone(checked: Callable[_P, tuple[Verdict, tuple[Loop, ...]]]) -> Callable[_P, Verdict]:
-    return lambda *given, **named: checked(*given, **named)[0]
+def _verdict_of(checked: Callable[_P, LoopCheck]) -> Callable[_P, Verdict]:
+    return lambda *given, **named: checked(*given, **named).verdict
 
 
-#: `check_loops` without the loops
-check = _alone(check_loops)
+#: the verdict of `check_loops` alone
+check = _verdict_of(check_loops)
 
 
 def _kept(found: Verdict, closed: Closed) -> Verdict:
@@ -144,7 +175,7 @@ def _verdict_on_all(
     notes: Sequence[str],
 ) -> Verdict:
     """The verdict on several loops, each with the others closed and all at once."""
-    found = {loop.plant.recording: several_margins(loop) for loop in loops}
+    found = {loop.plant.recording: matrix_margins(loop) for loop in loops}
     _refuse_mixed(together, found)
     asked, each = {one.loop: one for one in requirements}, []
     for name, own in zip(closed.names, closed.controllers, strict=True):

@@ -206,7 +206,7 @@ def tune(
     """
     from loopshape.design.tune import tune as tune_one
     from loopshape.design.turns import tune_loops
-    from loopshape.loop.margin.disturbed import refuse_several_disturbed
+    from loopshape.loop.margin.disturbed import refuse_disturbed
 
     asked, together = required_of(R, together)
     asked = asked if structure is None else [replace(one, structure=tuple(structure)) for one in asked]
@@ -221,7 +221,7 @@ def tune(
         one = replace(one, structure=bounded(one.structure, plants))
         known = point_disturbances(disturbance, plants[0].loop)
         return tune_one(plants, one, tuple(fits), start=initial[0] if initial else None, disturbances=known, **search)
-    refuse_several_disturbed([one.loop for one in asked], disturbance)
+    refuse_disturbed([one.loop for one in asked], disturbance)
     with (watch or Unwatched()).progress("tune", 2 * len(asked)) as step:
         return tune_loops(
             plants_of(P), asked, initial, together, fits=fits, recorded_under=recorded_under, step=step, **search
@@ -267,7 +267,7 @@ def check(
     >>> ls.check(P, C, ls.Requirements(modulus_margin=0.5, unstable_poles=0)).passed
     True
     """
-    from loopshape.loop.margin.disturbed import refuse_several_disturbed
+    from loopshape.loop.margin.disturbed import refuse_disturbed
     from loopshape.loop.verdict import check as check_loops
 
     given = C if isinstance(C, Sequence) else (C,)
@@ -278,7 +278,7 @@ def check(
         asked = [one]
     else:
         plants = plants_of(P)
-        refuse_several_disturbed(loops or [one.loop for one in own], disturbance)
+        refuse_disturbed(loops or [one.loop for one in own], disturbance)
     disturbed = point_disturbances(disturbance, plants[0].loop if loops is None else loops[0])
     return check_loops(
         plants, own, asked, tuple(fits), together=together, closed=loops, recorded_under=recorded_under,

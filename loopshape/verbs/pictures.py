@@ -72,8 +72,8 @@ def draw_run(
     for own in () if controllers is None else read_controllers(controllers):
         if mine := [one for one in frfs if one.loop == own.loop]:
             asked = required.get(own.loop, Requirements(own.loop))
-            verdict, loops = check_loops(mine, own, asked, fits)
-            drawn += draw_loops(folder, own.loop, loops, asked, verdict)
+            found = check_loops(mine, own, asked, fits)
+            drawn += draw_loops(folder, own.loop, found.loops, asked, found.verdict)
     return drawn
 
 
@@ -116,12 +116,15 @@ def draw_matrices(folder: Path, frfs: Sequence[FRF]) -> list[str]:
 
 def draw_checks(folder: Path, found: Checks) -> list[str]:
     """Pictures of what was checked: of each loop, of a diagram, of all loops at once."""
+    from loopshape.data.requirement.requirements import Requirements
+
     drawn = [] if found.diagram is None else _saved(folder, [("diagram", found.diagram.figure())])
     for one in found.loops:
         if one.verdict.each:
             drawn += draw_together(folder, one.loops, one.verdict, one.together)
         else:
-            drawn += draw_loops(folder, one.verdict.controllers[0].loop, one.loops, one.requirements[0], one.verdict)
+            name, required = one.verdict.controllers[0].loop, one.required or Requirements(one.verdict.loop)
+            drawn += draw_loops(folder, name, one.loops, required, one.verdict)
     return drawn
 
 
@@ -156,14 +159,14 @@ def draw_together(
     folder: Path, loops: Sequence[Loop], verdict: Verdict, required: Requirements | None = None
 ) -> list[str]:
     """A page of all loops at once for each operating point."""
-    from loopshape.view.verdict.several import several_page
+    from loopshape.view.verdict.together import together_page
 
     drawn = []
     for loop, tail in zip(loops, _tails(len(loops)), strict=True):
         recording = loop.plant.recording
         each = {one.loop: one.margins[recording] for one in verdict.each}
-        page = several_page(loop, verdict.together[recording], each, required)
-        drawn += _saved(folder, [(f"several_{'+'.join(loop.names)}{tail}", page)])
+        page = together_page(loop, verdict.together[recording], each, required)
+        drawn += _saved(folder, [(f"loop_{'+'.join(loop.names)}{tail}", page)])
     return drawn
 
 

@@ -23,7 +23,7 @@ from loopshape.io.requirements import joined, profile_of, read_required, read_re
 from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import write_fits
-from loopshape.io.write.frfs import FOLDER, has_any, read_frfs, read_several_loops
+from loopshape.io.write.frfs import FOLDER, has_any, read_all_loops, read_frfs
 from loopshape.io.write.predictions import read_predictions
 from loopshape.io.write.verdicts import write_verdicts
 from loopshape.loop.predict.remeasured import Remeasured
@@ -76,7 +76,7 @@ def interactions(
     """
     closing = recorded_under(run) if controllers is None else read_controllers(controllers)
     found = []
-    for one in read_several_loops(run):
+    for one in read_all_loops(run):
         mine = {c.loop: c for c in closing if c.loop in (loops or one.loop.split("+"))}
         found.append(chain.interaction(one, loops, mine, **options))
     return found
@@ -130,7 +130,7 @@ def tune(
             "leave --matrix out",
         )  # fmt: skip
     found = chain.tune(
-        read_several_loops(run), requirements, start=[*initial.values()], together=together,
+        read_all_loops(run), requirements, start=[*initial.values()], together=together,
         recorded_under=recorded_under(run), disturbance=disturbance, grow=grow, watch=watch, **search,
     )  # fmt: skip
     if isinstance(found, Tuning):

@@ -112,13 +112,13 @@ def matrix_run(run: Path, require: Path | None, controller: Path | None) -> tupl
     from loopshape.io.requirements import read_required
     from loopshape.io.write.check_files import recorded_under
     from loopshape.io.write.controllers import read_controllers
-    from loopshape.io.write.frfs import read_several_loops
+    from loopshape.io.write.frfs import read_all_loops
 
     if controller is None:
         what = "loops are closed by their controllers"
         raise WrongUseError(what, "--matrix alone", "give them by --controller FILE")
     required, together = read_required(require) if require else ((), None)
-    made = ShapedLoops(read_several_loops(run), required, together, recorded_under(run))
+    made = ShapedLoops(read_all_loops(run), required, together, recorded_under(run))
     return made, made.sessions(read_controllers(controller))
 
 

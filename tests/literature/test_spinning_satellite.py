@@ -11,7 +11,7 @@ from conversions import TWO_PI, from_db
 from several_cases import frf_of, gain, loops
 
 import loopshape as ls
-from loopshape.loop.matrix.several_margins import several_margins
+from loopshape.loop.matrix.matrix_margins import matrix_margins
 
 A = 10.0
 F = np.sort(np.concatenate([np.geomspace(2e-4, 1e3, 1300), np.linspace(1.55, 1.63, 300)]))
@@ -29,7 +29,7 @@ BOTH = (gain("a"), gain("b"))
 
 @pytest.fixture(scope="module")
 def margins():
-    return several_margins(loops(F, satellite(F), BOTH))
+    return matrix_margins(loops(F, satellite(F), BOTH))
 
 
 def test_it_is_stable_with_no_room(margins):
@@ -51,7 +51,7 @@ def test_the_peaks_of_s_and_t(margins):
 @pytest.mark.parametrize(("share", "stable"), [(0.9, True), (0.98, True), (1.02, False), (1.1, False)])
 def test_gains_just_inside_and_outside(share, stable):
     e = share / np.sqrt(A * A + 1.0)
-    found = several_margins(loops(F, satellite(F), (gain("a", 1.0 + e), gain("b", 1.0 - e))))
+    found = matrix_margins(loops(F, satellite(F), (gain("a", 1.0 + e), gain("b", 1.0 - e))))
     assert found.stable == ("stable" if stable else "unstable")
 
 

@@ -11,7 +11,8 @@ from run_files import write_verdicts
 import loopshape as ls
 from loopshape.cli.output import Output
 from loopshape.cli.verify.report import report
-from loopshape.io.write.check_files import LoopCheck, against
+from loopshape.io.write.check_files import against
+from loopshape.loop.verdict import LoopCheck, check_loops
 
 OWN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 WISHED = ls.Requirements("a", phase_margin_deg=10.0, integrators=1)
@@ -34,7 +35,7 @@ def frf(gain: float, rate_hz: float) -> ls.FRF:
 
 def judged(gain: float, controller: ls.Controller) -> LoopCheck:
     one = frf(gain, controller.rate_hz)
-    return LoopCheck((one,), (WISHED,), (), ls.check([one], controller, WISHED), ())
+    return check_loops([one], controller, WISHED)
 
 
 @pytest.mark.parametrize(("rate_hz", "told_apart"), [(500.0, False), (1000.0, True)])

@@ -64,7 +64,7 @@ class Margins(Mapping[str, Reading], Plain):
     are holes between the frequencies, in which a reading is a guess. `last_hz` is the last frequency, `last_gain` |L|
     there and `last_slope` how steeply |L| falls (1: 20 dB a decade).
 
-    Of several `loops` at once they are what each may vary by, all at the same time (`several_margins`), and nan is what
+    Of several `loops` at once they are what each may vary by, all at the same time (`matrix_margins`), and nan is what
     single loops alone have. `disk_margin_reached` is the size of changes known to destabilise: nothing is known between
     the disk margin and it (they are one for three loops or fewer), and its interval goes from one to the other.
     `worst_changes` are the factors (complex, one a loop) that bring the loops to their limit, at the frequency of the

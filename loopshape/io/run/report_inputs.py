@@ -24,8 +24,8 @@ from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
 from loopshape.io.write.check_files import fits_of, read_diagram
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
-from loopshape.loop.run_report import CheckedLoop, Envelope, FittedModel, Missing, RecordingSheet, RunReport
-from loopshape.loop.verdict import check_loops
+from loopshape.loop.run_report import Envelope, FittedModel, Missing, RecordingSheet, RunReport
+from loopshape.loop.verdict import LoopCheck, check_loops
 
 FIGURES_BYTES = 700_000  # of the pictures that a report carries beside the main ones, together
 #: beginnings of the names of the main pictures, which no budget leaves out
@@ -111,7 +111,7 @@ def _checked(
     requirements: Sequence[Requirements],
     fits: Sequence[Fit],
     tuned: Equivalent | None = None,
-) -> tuple[CheckedLoop, ...]:
+) -> tuple[LoopCheck, ...]:
     """Each controller whose loop was measured, compared with its requirements (against none where none are given).
 
     With a diagram (`tuned`) that is the tuned block's.
@@ -122,11 +122,10 @@ def _checked(
         mine = tuple(one for one in frfs if one.loop == own.loop and one.response.shape[1:] == (1, 1))
         if not mine:
             continue
-        required = next((w for w in requirements if w.loop == own.loop), None)
-        asked = required or Requirements(own.loop)
-        asked = asked if tuned is None else tuned.asked(asked)
-        verdict, loops = check_loops(mine, own, asked, fits)
-        found.append(CheckedLoop(mine, loops, own, required, verdict))
+        given = [one for one in requirements if one.loop == own.loop]
+        asked = given or [Requirements(own.loop)]
+        checked = check_loops(mine, own, asked if tuned is None else [*map(tuned.asked, asked)], fits)
+        found.append(replace(checked, requirements=tuple(given)))
     return tuple(found)
 
 

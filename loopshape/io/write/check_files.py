@@ -13,46 +13,21 @@ from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.equivalent import Diagram, Equivalent
 from loopshape.data.result.verdict import Verdict
-from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
 from loopshape.io.requirements import read_required
 from loopshape.io.run.run_folder import RUN_TOML, read_run
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import read_fits
-from loopshape.io.write.frfs import read_frfs, read_several_loops
+from loopshape.io.write.frfs import read_all_loops, read_frfs
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, compare
-from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops
-from loopshape.loop.margin.disturbed import refuse_several_disturbed
-from loopshape.loop.verdict import check_loops
-
-
-@dataclass(frozen=True, eq=False)
-class LoopCheck:
-    """Loops that are closed together, one or several: FRFs, what was required, the loops built, and what came out."""
-
-    frfs: tuple[FRF, ...]
-    requirements: tuple[Requirements, ...]
-    fits: tuple[Fit, ...]
-    verdict: Verdict
-    loops: tuple[Loop, ...]
-    together: Requirements | None = None
-    recorded_under: tuple[Controller, ...] = ()
-
-    def under(self, before: Verdict) -> Verdict:
-        """The check of another verdict's controllers on these FRFs."""
-        alone = all(frf.response.shape[1:] == (1, 1) for frf in self.frfs)
-        closed = None if alone else [one.loop for one in before.controllers]
-        return check_loops(
-            self.frfs, before.controllers, self.requirements, self.fits, together=self.together, closed=closed,
-            recorded_under=self.recorded_under,
-        )[0]  # fmt: skip
+from loopshape.loop.margin.disturbed import refuse_disturbed
+from loopshape.loop.verdict import LoopCheck, check_loops
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,15 +124,14 @@ def check_all(
             "leave --matrix out",
         )  # fmt: skip
     asked = requirements or ()
-    frfs, under = read_several_loops(run), recorded_under(run)
+    frfs, under = read_all_loops(run), recorded_under(run)
     chosen = closed_loops(frfs, controllers, closed)
-    refuse_several_disturbed(chosen.names, disturbance)
+    refuse_disturbed(chosen.names, disturbance)
     if profile is not None:
         given = {one.loop: one for one in asked}
         asked = tuple(profile.joined(given.get(name, Requirements(name))) for name in chosen.names)
-    verdict, built = check_loops(frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under)
-    asked = asked if verdict.each else (*asked, Requirements(verdict.loop))[:1]
-    return Checks((LoopCheck(frfs, asked, (), verdict, built, together, under),))
+    checked = check_loops(frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under)
+    return Checks((checked,))
 
 
 def _single_loops(
@@ -181,20 +155,13 @@ def _single_loops(
     asked = requirements if profile is None else tuple(map(profile.joined, requirements))
     asked = asked if equivalent is None else tuple(map(equivalent.asked, asked))
     still = None if disturbance is None else read_run(disturbance)
-    return tuple(_check(frfs, controller_of(controllers, required.loop), required, fits, still) for required in asked)
-
-
-def _check(
-    frfs: Sequence[FRF],
-    controller: Controller,
-    required: Requirements,
-    fits: tuple[Fit, ...],
-    disturbance: Run | None = None,
-) -> LoopCheck:
-    mine = tuple(one for one in frfs if one.loop == required.loop)
-    disturbances = () if disturbance is None else disturbances_in(disturbance, required.loop)
-    verdict, loops = check_loops(mine, controller, required, fits, disturbances=disturbances)
-    return LoopCheck(mine, (required,), fits, verdict, loops)
+    checked = []
+    for required in asked:
+        mine = tuple(one for one in frfs if one.loop == required.loop)
+        own = controller_of(controllers, required.loop)
+        known = () if still is None else disturbances_in(still, required.loop)
+        checked.append(check_loops(mine, own, required, fits, disturbances=known))
+    return tuple(checked)
 
 
 def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
@@ -209,7 +176,7 @@ def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
     bridges, notes = [], []
     for x in _of(loops, set(bridge(before, now))):
         try:
-            bridges.append(x.under(old[x.verdict.loop]))
+            bridges.append(x.under(old[x.verdict.loop].controllers))
         except LoopshapeError as error:
             why = f"{error.what} ({error.received})" if error.received else error.what
             notes.append(

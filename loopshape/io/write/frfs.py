@@ -99,7 +99,7 @@ def read_matrices(run_folder: Path) -> tuple[FRF, ...]:
     )
 
 
-def read_several_loops(run_folder: Path) -> tuple[FRF, ...]:
+def read_all_loops(run_folder: Path) -> tuple[FRF, ...]:
     """A run's matrices, else its imported FRFs of several inputs; refuses a run that has neither."""
     found = read_matrices(run_folder) if has_any(run_folder, MATRICES) else ()
     found = found or tuple(one for one in read_frfs(run_folder) if len(one.inputs) > 1)

@@ -356,7 +356,7 @@ def of_loop(loop: Loop, margins: Margins, disturbance: Disturbance, required: Re
     return disturbed(loop, disturbance, required.control_range)
 
 
-def refuse_several_disturbed(names: Sequence[str], disturbances: object) -> None:
+def refuse_disturbed(names: Sequence[str], disturbances: object) -> None:
     """Refuse what disturbs one loop where several loops are closed anew."""
     if len(names) > 1 and disturbances:
         raise WrongUseError(

@@ -121,13 +121,14 @@ def _closed_in(D: Diagram, order: Sequence[str]) -> tuple[_Closings | None, str]
         plants = [replace(_equivalent(D, part, point, opened), open_loop=poles == 0) for point in range(D.points)]
         asked = part.requirements or Requirements(name)
         asked = asked if asked.unstable_poles is not None else replace(asked, unstable_poles=poles)
-        verdict, loops = check_loops(plants, C, asked)
+        checked = check_loops(plants, C, asked)
+        verdict = checked.verdict
         if verdict.unstable:
             at = verdict.unstable[0]
             inner = verdict.margins[at]
             return None, f"inner loop {name} is {inner.stable} at {at}: {inner.stability_reason}"
         verdicts[name], calmed = verdict, calmed | here
-        integrators += max(0, min((one.integrators or 0) for one in loops) + C.integrators())
+        integrators += max(0, min((one.integrators or 0) for one in checked.loops) + C.integrators())
     return _Closings(verdicts, calmed, integrators), ""
 
 

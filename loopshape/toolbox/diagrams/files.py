@@ -13,7 +13,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.io.config_table import ConfigTable, read_words
 from loopshape.io.run.run_tables import CONTROLLER_KEYS
 from loopshape.io.schema import read
-from loopshape.io.write.frfs import read_frfs, read_several_loops
+from loopshape.io.write.frfs import read_all_loops, read_frfs
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
 
 FORMAT = "loopshape-diagram/1"
@@ -68,7 +68,7 @@ def _plants(words: ConfigTable, run: Path) -> tuple[FRF, ...]:
     picked = words.inner("plant")
     picked.only("inputs", "outputs")
     inputs, outputs = picked.list_of_texts("inputs"), picked.list_of_texts("outputs")
-    return tuple(channels(frf, outputs, inputs) for frf in read_several_loops(run))
+    return tuple(channels(frf, outputs, inputs) for frf in read_all_loops(run))
 
 
 def _ordered(one: Part, points: Sequence[FRF]) -> Part:

@@ -11,7 +11,8 @@ from loopshape.core.toolboxes import found, function_at
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.verdict import Verdict
-from loopshape.loop.run_report import CheckedLoop, RunReport, StoredFigure
+from loopshape.loop.run_report import RunReport, StoredFigure
+from loopshape.loop.verdict import LoopCheck
 from loopshape.view.html import model_parts, run_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
@@ -59,7 +60,7 @@ def page(report: RunReport) -> str:
     return f"<!DOCTYPE html>\n{html}\n"
 
 
-def _data(plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> dict[str, Any]:
+def _data(plotted: Sequence[tuple[LoopCheck | None, list[Trace]]]) -> dict[str, Any]:
     """What the script draws."""
     loops = [loop_data(*one) for one in plotted]
     return {"limits": [*map(limit_words, LIMITS)], "bands_at_once": BANDS_AT_ONCE, "loops": loops}
@@ -96,7 +97,7 @@ def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
 Section = tuple[str, str, Content]
 
 
-def _sections(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> list[Section]:
+def _sections(report: RunReport, plotted: Sequence[tuple[LoopCheck | None, list[Trace]]]) -> list[Section]:
     """Sections that have something to say: identity, title, inside."""
     r, checked = report, report.checked
     every: list[tuple[str, str, object, Callable[[], Content]]] = [
@@ -122,7 +123,7 @@ def _of_toolboxes(report: RunReport) -> list[tuple[str, Markup | None]]:
     return [(title, function_at(place)(report)) for title, place in found().all("parts").items()]
 
 
-def _each(checked: Sequence[CheckedLoop], part: Callable[[CheckedLoop], Markup]) -> Markup:
+def _each(checked: Sequence[LoopCheck], part: Callable[[LoopCheck], Markup]) -> Markup:
     """A part of each loop, under the loop's name where there are several."""
     several = len(checked) > 1
     return joined(joined([tag("h3", f"Loop {one.verdict.loop}") if several else None, part(one)]) for one in checked)
@@ -132,9 +133,9 @@ def _section(key: str, title: str, inside: Content) -> Markup:
     return tag("section", tag("h2", title), inside, id=key)
 
 
-def _plotted(report: RunReport) -> list[tuple[CheckedLoop | None, list[Trace]]]:
+def _plotted(report: RunReport) -> list[tuple[LoopCheck | None, list[Trace]]]:
     """Curves of each checked loop, then of the plants of all other loops."""
-    found: list[tuple[CheckedLoop | None, list[Trace]]] = [
+    found: list[tuple[LoopCheck | None, list[Trace]]] = [
         (one, loop_traces(one.loops, one.frfs)) for one in report.checked
     ]
     done = {one.verdict.loop for one in report.checked}
@@ -146,7 +147,7 @@ def _unchecked(report: RunReport, done: set[str]) -> list[list[FRF]]:
     return [[one for one in single if one.loop == loop] for loop in dict.fromkeys(one.loop for one in single)]
 
 
-def _plots(report: RunReport, plotted: Sequence[tuple[CheckedLoop | None, list[Trace]]]) -> Markup:
+def _plots(report: RunReport, plotted: Sequence[tuple[LoopCheck | None, list[Trace]]]) -> Markup:
     """Legend and plots of each loop."""
     plants = [one.frfs[0] for one in report.checked]
     plants += [mine[0] for mine in _unchecked(report, {one.verdict.loop for one in report.checked})]

@@ -9,7 +9,7 @@ from typing import Any
 from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.verdict import RequirementResult
-from loopshape.loop.run_report import CheckedLoop
+from loopshape.loop.verdict import LoopCheck
 from loopshape.view.html.markup import Markup, joined, tag
 from loopshape.view.html.traces import Trace, embedded
 from loopshape.view.html.words import count, number
@@ -31,9 +31,9 @@ _TITLES = {
 }
 
 
-def loop_data(checked: CheckedLoop | None, traces: Sequence[Trace]) -> dict[str, Any]:
+def loop_data(checked: LoopCheck | None, traces: Sequence[Trace]) -> dict[str, Any]:
     """What the script draws of a loop: its curves, what is required, and where each requirement is worst."""
-    required = None if checked is None else checked.requirements
+    required = None if checked is None else checked.required
     return {
         "points": embedded(traces),
         "requirements": None if required is None else requirement_words(required),
@@ -55,13 +55,13 @@ def _plot_of(line: RequirementResult) -> str:
     return f"{name}-{'deg' if phase else 'db'}"
 
 
-def plots(plant: FRF, checked: CheckedLoop | None, points: int, first: bool = False) -> Markup:
+def plots(plant: FRF, checked: LoopCheck | None, points: int, first: bool = False) -> Markup:
     """The plots of a loop, or of a plant without a controller; the picture of the `first` stands at the verdict."""
     names = ("P",) if checked is None else ("P", "L")
     drawn = [_magnitude(name, plant, points) for name in names]
     drawn += [_figure(f"{name}-deg", f"{_TITLES[name]}: phase", f"phase of {name} [deg]", points) for name in names]
     if checked is not None:
-        words = nichols_words(checked.requirements)
+        words = nichols_words(checked.required)
         drawn.append(_figure("L-nichols", "Nichols: open loop L", None, points, words))
         drawn += [_magnitude(name, plant, points) for name in ("S", "T", "CS", "PS")]
     return joined([tag("div", *drawn, class_="plot-grid"), _without_script(checked, first)])
@@ -81,16 +81,16 @@ def _figure(key: str, title: str, label: str | None, points: int, words: str = "
     return tag("figure", tag("figcaption", title), canvas, note, class_="plot tall" if words else "plot")
 
 
-def _without_script(checked: CheckedLoop | None, first: bool) -> Markup:
+def _without_script(checked: LoopCheck | None, first: bool) -> Markup:
     """What stands in place of the plots where a reader's program runs no script, as previews of mail do."""
     words = "These plots need JavaScript, which is off here. The tables are complete; loopshape figures draws pictures."
     shown = None if checked is None or first else picture(checked)
     return tag("noscript", tag("p", words), shown)
 
 
-def picture(checked: CheckedLoop) -> Markup:
+def picture(checked: LoopCheck) -> Markup:
     """The open loop in Nichols' chart, as a picture."""
-    chart = figure_of(nichols(checked.loops, checked.requirements, verdict=checked.verdict))
+    chart = figure_of(nichols(checked.loops, checked.required, verdict=checked.verdict))
     source = Markup(f"data:image/png;base64,{b64encode(png(chart)).decode('ascii')}")
     alt = f"Nichols plot of the open loop of {checked.verdict.loop} at all operating points"
     return tag("figure", tag("img", src=source, alt=alt), class_="chart")

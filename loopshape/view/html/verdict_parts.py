@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
-from loopshape.data.result.detuning import WARNED_PERCENT, Reach
+from loopshape.data.result.detuning import WARNED_PERCENT
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import Row, band_text, crossings_text, known_limits, row_of
 from loopshape.loop.loop import Loop
-from loopshape.loop.run_report import CheckedLoop, RunReport
+from loopshape.loop.run_report import RunReport, asked_outcome
+from loopshape.loop.verdict import LoopCheck
 from loopshape.view.html.markup import Content, Markup, joined, tag
 from loopshape.view.html.plots import picture
 from loopshape.view.html.words import (
@@ -32,7 +32,7 @@ from loopshape.view.html.words import (
     table,
     together,
 )
-from loopshape.view.verdict.tables import reach_text
+from loopshape.view.verdict.tables import DETUNING, detuning_rows
 
 GAUGE_WIDTH, GAUGE_HEIGHT = 170, 26
 
@@ -45,7 +45,7 @@ def verdict(report: RunReport) -> Markup:
         Outcome.UNDECIDED: "Nothing is surely missed, and these data do not decide all of it.",
         None: "No requirement was checked against these data.",
     }
-    cards = [_card(one.verdict.loop, one.outcome, _sentences(one)) for one in report.checked]
+    cards = [_card(one.verdict.loop, asked_outcome(one.verdict), _sentences(one)) for one in report.checked]
     cards += [
         _card(name, Outcome.UNDECIDED, ["Asked for, and not checked: see what is missing."])
         for name in report.unchecked
@@ -56,7 +56,7 @@ def verdict(report: RunReport) -> Markup:
     return joined([whole, row, None if shown is None else picture(shown)])
 
 
-def first(report: RunReport) -> CheckedLoop | None:
+def first(report: RunReport) -> LoopCheck | None:
     """The loop whose plot stands beside the verdict: the worst."""
     worst = [one for one in report.checked if one.outcome == report.outcome] or list(report.checked)
     return worst[0] if worst else None
@@ -91,7 +91,7 @@ def _card(loop: str, outcome: Outcome | None, sentences: Iterable[Content]) -> M
     )
 
 
-def _sentences(one: CheckedLoop) -> list[Content]:
+def _sentences(one: LoopCheck) -> list[Content]:
     """What a loop's verdict comes from: first what fails, then what is open, else what holds."""
     found, points = one.verdict, count(len(one.loops), "operating point")
     said: list[Content] = [] if (hangs := hanging(found)) is None else [hangs]
@@ -104,12 +104,12 @@ def _sentences(one: CheckedLoop) -> list[Content]:
         lines = [line for line in found.lines if line.outcome is outcome]
         if lines:
             said += [f"{head}:", tag("ul", *(tag("li", _in_words(line)) for line in lines))]
-    if one.outcome is Outcome.PASSED:
+    if asked_outcome(found) is Outcome.PASSED:
         every = f"All {count(len(found.lines), 'requirement')}" if len(found.lines) > 1 else "The requirement"
         said.append(
             f"{every} hold{'' if len(found.lines) > 1 else 's'}, and the closed loop is stable, at {_all(points)}."
         )
-    if one.outcome is None:
+    if asked_outcome(found) is None:
         said.append(f"The closed loop is stable at {_all(points)}; no requirements were given.")
     return said
 
@@ -131,7 +131,7 @@ def _in_words(line: RequirementResult) -> str:
     return f"{LIMIT_OF[line.quantity].label}: required {row.asked}, found {worst}{reach} at {line.recording}{at}{more}"
 
 
-def requirements(one: CheckedLoop) -> Markup:
+def requirements(one: LoopCheck) -> Markup:
     """Each requirement at its worst operating point: required, found, interval, slack, where, and the word."""
     if not one.verdict.lines:
         return tag("p", "No requirements were given for this loop: its margins below are reported without verdict.")
@@ -187,7 +187,7 @@ def gauge(line: RequirementResult, limit: Limit) -> Markup:
     )
 
 
-def margins(one: CheckedLoop) -> Markup:
+def margins(one: LoopCheck) -> Markup:
     """Margins, and peaks with bandwidths, of every operating point; each column's worst is marked."""
     points = {f.recording or f"frf {k + 1}": point(f.operating_point, f.parameters) for k, f in enumerate(one.frfs)}
     return joined([margins_of(one.verdict, points), _detunings(one.verdict)])
@@ -201,32 +201,12 @@ def margins_of(found: Verdict, points: Mapping[str, str]) -> Markup:
 
 def _detunings(found: Verdict) -> Markup | None:
     """How far frequencies of the plant may move, as a whole and of single resonances; none where nobody looked."""
-    rows: list[list[Cell | Content]] = []
-    for name, m in found.margins.items():
-        if m.detuning is None:
-            continue
-        whole: tuple[str, Reach, Reach] = ("all frequencies", m.detuning.up, m.detuning.down)
-        single = [
-            (f"{number(x.frequency_hz)} Hz, damping {number(x.damping, 2)}", x.up, x.down)
-            for x in m.detuning.resonances
-        ]
-        for what, *reaches in (whole, *single):
-            ends = [text for x in reaches for text in (_shift(x), TYPESET.interval(x.interval_percent))]
-            rows.append([name, what, *ends])
-    if not rows:
-        return None
-    columns = ["recording", "what moves", "up [%]", "95 % interval", "down [%]", "95 % interval"]
+    rows = detuning_rows(found, TYPESET, lambda name: LIMIT_OF[name].short if name in LIMIT_OF else name)
     caption = (
         f"Detuning margins of loop {found.loop}: the largest relative shift of the plant's frequencies, up and down, at"
         " which every requirement holds and the loop is stable, and what breaks there."
     )
-    return table(caption, columns, rows, sortable=len(rows) > 1)
-
-
-def _shift(reach: Reach) -> str:
-    """How far frequencies may move one way, and what breaks there, as the other tables name it."""
-    limit = LIMIT_OF.get(reach.breaks)
-    return reach_text(replace(reach, breaks=reach.breaks if limit is None else limit.short))
+    return table(caption, DETUNING, rows, sortable=len(rows) > 1) if rows else None
 
 
 def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: Sequence[Limit]) -> Markup:
@@ -276,7 +256,7 @@ def _margin(m: Margins, limit: Limit, worst: bool, asked: RequirementResult | No
     return figure(TYPESET.unit(limit.unit)[1] * m[limit.name].value, joined(parts), kind)
 
 
-def certificate(one: CheckedLoop) -> Markup:
+def certificate(one: LoopCheck) -> Markup:
     """Stability of each operating point with its reason; alike ones in one row. And what had to be assumed."""
     groups: dict[tuple[ClosedLoop, str, str], list[str]] = {}
     for name, m in one.verdict.margins.items():
@@ -305,7 +285,7 @@ def certificate(one: CheckedLoop) -> Markup:
     )
 
 
-def _poles(one: CheckedLoop) -> str:
+def _poles(one: LoopCheck) -> str:
     """The open-loop poles that the count was made with, and what they rest on."""
     pairs: dict[tuple[int | None, int | None, str], list[str]] = {}
     for loop in one.loops:
@@ -317,14 +297,15 @@ def _poles(one: CheckedLoop) -> str:
         growing = "an unknown number of unstable poles" if unstable is None else count(unstable, "unstable pole")
         where = f" at {_few(names)}" if len(pairs) > 1 else ""
         parts.append(f"plant with {known} ({basis}) and {growing}{where}")
-    return f"Counted for: {'; '.join(parts)}; controller with {count(one.controller.integrators(), 'integrator')}."
+    own = count(one.loops[0].controller_integrators(), "integrator")
+    return f"Counted for: {'; '.join(parts)}; controller with {own}."
 
 
-def _rests_on(one: CheckedLoop, loop: Loop) -> str:
+def _rests_on(one: LoopCheck, loop: Loop) -> str:
     """What the number of a plant's integrators rests on."""
     if loop.integrators is None:
         return "neither declared nor known from the lowest frequencies"
-    if one.requirements is not None and one.requirements.integrators is not None:
+    if one.required is not None and one.required.integrators is not None:
         return "declared in the requirements"
     if loop.model is not None:
         return "by its fit"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from loopshape.data.result.verdict_words import (
     PRINTED,
+    Notation,
     crossings_text,
     known_limits,
     row_of,
@@ -35,7 +36,8 @@ def verdict_tables(verdict: Verdict, *, margins: bool = True) -> Iterator[Table]
     yield f"Loop {verdict.loop}: {verdict.outcome.word}", columns, rows
     if margins:
         yield margins_table(verdict)
-        yield from _detunings(verdict)
+        if any(line.quantity == "detuning_percent" for line in verdict.lines):
+            yield f"Detuning margins of loop {verdict.loop}", DETUNING, detuning_rows(verdict)
 
 
 def notices(verdict: Verdict) -> list[str]:
@@ -91,21 +93,27 @@ def phase_budget_tables(verdict: Verdict, controller: Controller | GainScheduled
     yield title, ["", "block", "phase [deg]", "magnitude [dB]"], rows
 
 
-def _detunings(verdict: Verdict) -> Iterator[Table]:
+DETUNING = ["recording", "what moves", "up (what breaks)", "95 % interval", "down (what breaks)", "95 % interval"]
+
+
+def detuning_rows(
+    verdict: Verdict, notation: Notation = PRINTED, named: Callable[[str], str] = lambda name: name
+) -> list[list[Any]]:
     """How far the plant's frequencies may move at each operating point, as a whole and one resonance alone."""
-    if not any(line.quantity == "detuning_percent" for line in verdict.lines):
-        return
-    rows: list[list[Any]] = []
+    rows = []
     for name, m in verdict.margins.items():
         if m.detuning is None:
             continue
-        whole = ("all frequencies", m.detuning.up, m.detuning.down)
         single = [(f"{x.frequency_hz:.4g} Hz, damping {x.damping:.2g}", x.up, x.down) for x in m.detuning.resonances]
-        for what, up, down in (whole, *single):
-            ends = [PRINTED.interval(reach.interval_percent) for reach in (up, down)]
-            rows.append([name, what, reach_text(up), ends[0], reach_text(down), ends[1]])
-    columns = ["recording", "what moves", "up (what breaks)", "95 % interval", "down (what breaks)", "95 % interval"]
-    yield f"Detuning margins of loop {verdict.loop}", columns, rows
+        for what, *reaches in (("all frequencies", m.detuning.up, m.detuning.down), *single):
+            ends = [(_reach(x, named(x.breaks)), notation.interval(x.interval_percent)) for x in reaches]
+            rows.append([name, what, *ends[0], *ends[1]])
+    return rows
+
+
+def _reach(reach: Reach, breaks: str) -> str:
+    """How far frequencies may move one way, and what breaks there: "1.2 % (phase_margin_deg)", "> 20 %"."""
+    return f"> {reach.percent:.4g} %" if reach.beyond else f"{reach.percent:.3g} % ({breaks})"
 
 
 def comparison_tables(title: str, comparison: Comparison) -> Iterator[Table]:
@@ -153,8 +161,3 @@ def line_change_words(change: LineChange) -> tuple[str, str, str, str]:
         for one in (change.before, change.now)
     )
     return (*before, *now)
-
-
-def reach_text(reach: Reach) -> str:
-    """How far frequencies may move one way, and what breaks there: "1.2 % (phase_margin_deg)", "> 20 %"."""
-    return f"> {reach.percent:.4g} %" if reach.beyond else f"{reach.percent:.3g} % ({reach.breaks})"

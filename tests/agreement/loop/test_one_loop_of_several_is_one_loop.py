@@ -19,7 +19,7 @@ import loopshape as ls
 from loopshape.data.algebra.propagation import pick
 from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.determinant import closed_loops_stability
-from loopshape.loop.matrix.several_margins import several_margins
+from loopshape.loop.matrix.matrix_margins import matrix_margins
 from loopshape.loop.stability.stability import closed_loop_stability
 
 F = np.geomspace(0.01, 300.0, 900)
@@ -61,7 +61,7 @@ def test_the_count_of_one_loop_is_the_single_count(drawn, decided):
 def test_the_margins_of_one_loop_are_the_single_margins():
     G = servo(30.0, 0.02)[:, None, None]
     one = margins(Loop(frf_of(F, G), gain("a"), 1, unstable_poles=0))
-    several = several_margins(loops(F, G, [gain("a")], 1))
+    several = matrix_margins(loops(F, G, [gain("a")], 1))
     assert several.disk_margin == pytest.approx(one.disk_margin, rel=1e-6)
     assert several.modulus_margin == pytest.approx(one.modulus_margin, rel=1e-3)  # that one sees chords too
     assert several.sensitivity_peak_db == pytest.approx(one.sensitivity_peak_db, abs=0.01)
@@ -72,7 +72,7 @@ def test_the_margins_of_one_loop_are_the_single_margins():
 def test_uncoupled_loops_are_as_bad_as_the_worst_of_them():
     elements = servo(30.0, 0.02), servo(8.0, 0.05)
     each = [margins(Loop(frf_of(F, one[:, None, None]), gain("a"), 1, unstable_poles=0)) for one in elements]
-    several = several_margins(loops(F, diagonal(*elements), [gain("a"), gain("b")], 2))
+    several = matrix_margins(loops(F, diagonal(*elements), [gain("a"), gain("b")], 2))
     assert several.disk_margin == pytest.approx(min(m.disk_margin for m in each), rel=1e-6)
     assert several.sensitivity_peak_db == pytest.approx(max(m.sensitivity_peak_db for m in each), abs=0.01)
 

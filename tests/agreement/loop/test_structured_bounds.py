@@ -8,7 +8,7 @@ import pytest
 from conversions import TWO_PI
 from several_cases import gain, loops, poles, random_plant, response_of
 
-from loopshape.loop.matrix.several_margins import broken_twice, gauge_matrix, several_margins
+from loopshape.loop.matrix.matrix_margins import broken_twice, gauge_matrix, matrix_margins
 from loopshape.loop.matrix.structured import mu_bounds, refined, scaled, two_loops, upper_at
 
 
@@ -112,7 +112,7 @@ def closed_plants(count, n, seed):
 def test_the_change_that_it_names_destabilises_and_a_smaller_one_does_not():
     for plant, controllers, f, integrators in closed_plants(4, 2, 0):
         G = response_of(f, *plant)
-        found = several_margins(loops(f, G, controllers, integrators))
+        found = matrix_margins(loops(f, G, controllers, integrators))
         at = np.array([found.at_hz["disk_margin"]])  # on a line, or between two
         (P,), changed = response_of(at, *plant), np.array(found.worst_changes)
         assert gauge_matrix("disk", P, np.array([c.response(at)[0] for c in controllers])).shape == (2, 2)
@@ -137,7 +137,7 @@ def test_inputs_and_outputs_at_once_is_no_larger_and_both_ends_alone_are_the_sam
         at_inputs = np.linalg.inv(np.eye(2) + c[:, :, None] * G) - 0.5 * np.eye(2)
         at_outputs = gauge_matrix("disk", G, c)
         assert mu_bounds(at_inputs).upper == pytest.approx(mu_bounds(at_outputs).upper, rel=1e-9)
-        found = several_margins(loops(f, G, controllers, integrators))
+        found = matrix_margins(loops(f, G, controllers, integrators))
         assert found.input_output_disk_margin <= found.disk_margin * (1.0 + 1e-6)
         both = np.eye(4) + broken_twice(G[:3], c[:3])
         assert np.abs(np.linalg.det(both)) == pytest.approx(np.abs(np.linalg.det(np.eye(2) + c[:3, :, None] * G[:3])))
@@ -150,7 +150,7 @@ def test_one_loop_agrees_with_python_control():
     margin, _, _ = control.disk_margins(L, w)
     f = w / TWO_PI
     response = control.frequency_response(L, w).complex[:, None, None]
-    found = several_margins(loops(f, response, [gain("a")], 1))
+    found = matrix_margins(loops(f, response, [gain("a")], 1))
     assert found.disk_margin == pytest.approx(margin, rel=1e-9)
 
 

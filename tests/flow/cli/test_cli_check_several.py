@@ -63,7 +63,7 @@ def test_what_holds_passes_and_is_drawn(run):
     for words in ("Loop a: pass", "Loop b: pass", "Loop a + b: pass", "All loops at once"):
         assert words in done.output
     assert done.stdout.startswith("verdict: pass: ")
-    assert (run / "figures" / "several_a+b.png").stat().st_size > 20_000
+    assert (run / "figures" / "loop_a+b.png").stat().st_size > 20_000
     suites = ET.parse(run / "j.xml").getroot()
     assert [suite.get("name") for suite in suites] == ["a", "b", "a + b"]
     assert {suite.get("failures") for suite in suites} == {"0"}

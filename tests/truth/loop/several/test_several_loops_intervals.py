@@ -9,7 +9,7 @@ from several_cases import frf_of, gain, loops, noisy
 from loopshape.data.algebra.operations import controller_frf, feedback
 from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.matrix.determinant import determinant_variance
-from loopshape.loop.matrix.several_margins import several_margins
+from loopshape.loop.matrix.matrix_margins import matrix_margins
 
 F = np.arange(0.1, 12.0, 0.1)
 S = 1j * TWO_PI * F
@@ -27,7 +27,7 @@ G = np.stack([mode(5.0, 0.15), 0.35 * mode(4.0, 0.3), -0.35 * mode(4.5, 0.3), mo
 
 
 def exact():
-    return several_margins(loops(F, G, CONTROLLERS, 2, relative=0.0))
+    return matrix_margins(loops(F, G, CONTROLLERS, 2, relative=0.0))
 
 
 def test_without_covariance_there_are_no_intervals():
@@ -40,9 +40,9 @@ def test_without_covariance_there_are_no_intervals():
 def test_intervals_of_95_percent_cover_and_medians_are_true():
     noise, truth, rng, count = 0.05, exact(), np.random.default_rng(0), 45
     frf = frf_of(F, G, noise)
-    found = [several_margins(Loop(noisy(frf, rng), CONTROLLERS, 2, unstable_poles=0)) for _ in range(count)]
+    found = [matrix_margins(Loop(noisy(frf, rng), CONTROLLERS, 2, unstable_poles=0)) for _ in range(count)]
     raw = [
-        several_margins(loops(F, noisy(frf, rng).response, CONTROLLERS, 2, relative=0.0)).disk_margin for _ in range(20)
+        matrix_margins(loops(F, noisy(frf, rng).response, CONTROLLERS, 2, relative=0.0)).disk_margin for _ in range(20)
     ]
     for name in ("disk_margin", "modulus_margin", "sensitivity_peak_db"):
         true = getattr(truth, name)
@@ -73,7 +73,7 @@ def test_intervals_hold_what_lies_between_lines_where_there_is_almost_no_noise()
     for offset in np.arange(8) / 8:
         f, rng = 0.3 + 0.15 * (np.arange(76) + offset), np.random.default_rng(int(8 * offset))
         frf = noisy(frf_of(f, elements(1j * TWO_PI * f), 1e-6), rng)
-        found = several_margins(Loop(frf, CONTROLLERS, 2, unstable_poles=0))
+        found = matrix_margins(Loop(frf, CONTROLLERS, 2, unstable_poles=0))
         for name, matrix in size.items():
             true = 20.0 * np.log10(np.linalg.norm(matrix, 2, axis=(1, 2)).max())
             if name in found.bounds:  # |T| still rises towards 0.22 Hz, below the first line
@@ -87,7 +87,7 @@ def test_intervals_hold_what_lies_between_lines_where_there_is_almost_no_noise()
 
 def test_the_same_matrix_gives_the_same_interval():
     frf = noisy(frf_of(F, G, 0.05), np.random.default_rng(1))
-    one, two = (several_margins(Loop(frf, CONTROLLERS, 2, unstable_poles=0)) for _ in range(2))
+    one, two = (matrix_margins(Loop(frf, CONTROLLERS, 2, unstable_poles=0)) for _ in range(2))
     np.testing.assert_equal(vars(one), vars(two))  # what is not asked for is nan
 
 

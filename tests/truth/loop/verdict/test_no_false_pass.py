@@ -9,7 +9,7 @@ from bench_nouns import Block, Loop
 from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.loop.matrix.several_margins import several_margins
+from loopshape.loop.matrix.matrix_margins import matrix_margins
 from loopshape.loop.verdict import check
 
 RATE = 20_000.0
@@ -266,7 +266,7 @@ def test_three_loops_with_narrow_modes_are_read_between_the_lines():
         known = np.ones(f.size, dtype=bool)
         G = exact_P + std[:, None, None] * error
         frf = ls.FRF(f, G, covariance, known, *names, "known", "one", "a+b+c", RATE)
-        found = several_margins(Loop(frf, controllers, 3, 0))
+        found = matrix_margins(Loop(frf, controllers, 3, 0))
         low, high = found.intervals["sensitivity_peak_db"]
         assert low - 0.02 <= truth_db <= high + 0.02
         assert high - low < 0.5

@@ -13,7 +13,7 @@ from conversions import TWO_PI, db
 import loopshape as ls
 from loopshape.loop.loops import loops_of
 from loopshape.loop.margin.margins import margins
-from loopshape.loop.matrix.several_margins import FIELDS, several_margins
+from loopshape.loop.matrix.matrix_margins import FIELDS, matrix_margins
 
 MODE = TWO_PI * 32.0
 
@@ -211,7 +211,7 @@ def test_one_loop_and_the_same_as_a_matrix_have_the_same_interval():
     P = ls.FRF.from_arrays(f, G, relative_std=0.02, rate_hz=1000.0)
     C = ls.controller(ls.gain(1.0), rate_hz=1000.0)
     (loop,), _ = loops_of([P], C, ls.Requirements(P.loop, integrators=1, unstable_poles=0))
-    one, matrix = margins(loop), several_margins(Loop(P, (C,), 1, unstable_poles=0))
+    one, matrix = margins(loop), matrix_margins(Loop(P, (C,), 1, unstable_poles=0))
     shared = [name for name in FIELDS if name in one.intervals]
     assert len(shared) >= 4
     for name in shared:

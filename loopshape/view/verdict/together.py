@@ -13,7 +13,7 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.margins import Margins
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.loop.loop import Loop, characteristic_loci
-from loopshape.loop.matrix.several_margins import gauge_matrix
+from loopshape.loop.matrix.matrix_margins import gauge_matrix
 from loopshape.loop.matrix.structured import mu_bounds
 from loopshape.view.key import place_notes
 from loopshape.view.labels import number, point, symbol
@@ -146,7 +146,7 @@ def summary(each: Mapping[str, Margins], found: Margins, required: float | None,
 
 
 @styled()
-def several_page(
+def together_page(
     loops: Loop, found: Margins, each: Mapping[str, Margins], required: Requirements | None = None
 ) -> Figure:
     """All loops of one operating point: loci and det(I + L) above, S and T with limits, disk margins below."""

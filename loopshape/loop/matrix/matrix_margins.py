@@ -48,7 +48,7 @@ class _Peak(NamedTuple):
     beside: float
 
 
-def several_margins(loops: Loop) -> Margins:
+def matrix_margins(loops: Loop) -> Margins:
     """Margins of all loops at once, on the lines of the plant's matrix.
 
     With M = (S - T)/2 the loops stand every change of theirs by (1 + d/2)/(1 - d/2), |d| < a complex, as long as

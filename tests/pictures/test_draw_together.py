@@ -7,7 +7,7 @@ from several_cases import frf_of, gain
 
 import loopshape as ls
 from loopshape.loop.verdict import check_loops
-from loopshape.view.verdict.several import determinant, disk_margins, loci, several_page, singular_values, summary
+from loopshape.view.verdict.together import determinant, disk_margins, loci, singular_values, summary, together_page
 
 F = np.geomspace(0.05, 50.0, 150)
 S = 1j * TWO_PI * F
@@ -19,7 +19,8 @@ def case(units):
     G = np.array([[1.0, 0.4], [-0.4, 1.0]]) * (5.0 / (S * (0.02 * S + 1.0)))[:, None, None]
     frf = frf_of(F, G, 0.02, units=units, loop="theta1+theta2")
     required = WISHED if units is None else ls.Requirements(disk_margin=0.6, modulus_margin=0.4)
-    verdict, (loops,) = check_loops([frf], CONTROLLERS, together=required)
+    checked = check_loops([frf], CONTROLLERS, together=required)
+    verdict, (loops,) = checked.verdict, checked.loops
     return loops, verdict, required
 
 
@@ -82,7 +83,7 @@ def test_the_summary_names_every_loop_and_all(alike):
 def test_the_page_has_its_six_panels(units, alike):
     loops, verdict, required = alike if units is None else case(units)
     each = {one.loop: one.margins["exact"] for one in verdict.each}
-    figure = several_page(loops, verdict.margins["exact"], each, required)
+    figure = together_page(loops, verdict.margins["exact"], each, required)
     assert len(figure.axes) == 6
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert ("singular values of S [dB]" in labels) == (units is None)
