@@ -58,7 +58,7 @@ def verdict(report: RunReport) -> Markup:
 
 def first(report: RunReport) -> LoopCheck | None:
     """The loop whose plot stands beside the verdict: the worst."""
-    worst = [one for one in report.checked if one.outcome == report.outcome] or list(report.checked)
+    worst = [one for one in report.checked if asked_outcome(one.verdict) is report.outcome] or list(report.checked)
     return worst[0] if worst else None
 
 
