@@ -48,6 +48,8 @@ class Reading:
 
 
 _NOTHING = Reading()
+#: limits whose readings every file has, known or not
+IN_EVERY_FILE = tuple(LIMIT_OF)[:10]
 
 
 @dataclass(frozen=True)
@@ -149,7 +151,8 @@ class Margins(Mapping[str, Reading], Plain):
 
     def table(self, unknown: str | None = "nan") -> dict[str, Any]:
         """The same for a file, with a word for what is not known."""
-        made: dict[str, Any] = {x: self[x].value for x in self if x in self.readings or LIMIT_OF[x].together != "alone"}
+        always = [x for x in LIMIT_OF if LIMIT_OF[x].together != "alone"] if unknown is None else IN_EVERY_FILE
+        made: dict[str, Any] = {x: self[x].value for x in self if x in self.readings or x in always}
         made |= {"intervals": self.intervals, "at_hz": self.at_hz, "bounds": self.bounds}
         left_out = ("readings", *(() if self.loops else _OF_SEVERAL))
         made |= {f.name: getattr(self, f.name) for f in fields(self) if f.name not in left_out}

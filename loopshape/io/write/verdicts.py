@@ -12,7 +12,7 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.requirement.requirements import LIMIT_OF
-from loopshape.data.result.margins import Margins
+from loopshape.data.result.margins import IN_EVERY_FILE, Margins
 from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
@@ -140,8 +140,7 @@ class VerdictTable:
 def _with_readings(table: Mapping[str, Any]) -> dict[str, Any]:
     """Margins from values by name, with intervals, frequencies and bounds by the same."""
     rest = {name: value for name, value in table.items() if name not in LIMIT_OF}
-    first = list(LIMIT_OF)[:10]  # which every file has
-    readings: dict[str, Any] = {x: {"value": table[x]} for x in LIMIT_OF if x in first or x in table}
+    readings: dict[str, Any] = {x: {"value": table[x]} for x in LIMIT_OF if x in IN_EVERY_FILE or x in table}
     for key, named in (("interval", "intervals"), ("at_hz", "at_hz"), ("bound", "bounds")):
         for name, value in rest.pop(named, {}).items():
             readings.setdefault(name, {})[key] = value
