@@ -155,23 +155,25 @@ def _tones(
         if len(accepted) < MOST and not any(one.same_as(other) for other in accepted):
             accepted.append(one)
     fits: list[ToneFit] = []
+    signals: list[Array] = []
     rest = without_line(alone)
     for _ in range(4 if period is not None else 2 if len(accepted) > 1 else 1):
         for k, one in enumerate(accepted):
             part = rest[one.start : one.stop]
             if len(fits) > k:
-                part += fits[k].signal()
+                part += signals[k]
             fits[k : k + 1] = [fit_tone(part, rate_hz, one.frequency_hz)]
-            part -= fits[k].signal()
-        rest = without_line(_without_periods(_less(values, fits, accepted), period, offset)[0])
+            signals[k : k + 1] = [fits[k].signal()]
+            part -= signals[k]
+        rest = without_line(_without_periods(_less(values, signals, accepted), period, offset)[0])
     return [_tone(fit, one, chance) for fit, one in zip(fits, accepted, strict=True)], rest
 
 
-def _less(values: Array, fits: Sequence[ToneFit], where: Sequence[_Candidate]) -> Array:
+def _less(values: Array, signals: Sequence[Array], where: Sequence[_Candidate]) -> Array:
     """A signal (n,) without these tones."""
     rest = values.copy()
-    for fit, one in zip(fits, where, strict=True):
-        rest[one.start : one.stop] -= fit.signal()
+    for tone, one in zip(signals, where, strict=True):
+        rest[one.start : one.stop] -= tone
     return rest
 
 
