@@ -154,8 +154,7 @@ def _tones(
     for one in sorted(candidates, key=lambda c: c.chance):
         if len(accepted) < MOST and not any(one.same_as(other) for other in accepted):
             accepted.append(one)
-    fits: list[ToneFit] = []
-    signals: list[Array] = []
+    fits, signals = list[ToneFit](), list[Array]()
     rest = without_line(alone)
     for _ in range(4 if period is not None else 2 if len(accepted) > 1 else 1):
         for k, one in enumerate(accepted):
