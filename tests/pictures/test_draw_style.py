@@ -8,7 +8,9 @@ from pathlib import Path
 import matplotlib as mpl
 import picture_nouns as nouns
 import pytest
-from text_layout import looked_at, unreadable
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from text_layout import look_at_each_png, looked_at, unreadable
 
 from loopshape.view.key import key_of, varying
 from loopshape.view.labels import (
@@ -27,6 +29,8 @@ from loopshape.view.labels import (
 )
 from loopshape.view.plots import frequency
 from loopshape.view.style import head, new_figure, png, shades
+
+OVERLAPPING = Figure()  # made here, where the eye on a test's figures does not see it
 
 
 def test_the_same_figure_gives_the_same_bytes() -> None:
@@ -185,3 +189,15 @@ def test_a_process_of_a_test_that_writes_a_png_which_cannot_be_read_ends_with_an
         done = subprocess.run(words, cwd=tmp_path, env=looked_at(), capture_output=True, text=True, check=False)
         assert (done.returncode == 0) == (not told)
         assert told in done.stderr
+
+
+def test_what_png_writes_is_looked_at(monkeypatch):
+    """However figures become bytes: one that cannot be read must reach the eye of tests and studies."""
+    bare = getattr(FigureCanvasAgg.print_png, "__wrapped__", FigureCanvasAgg.print_png)
+    monkeypatch.setattr(FigureCanvasAgg, "print_png", bare)
+    seen: list[str] = []
+    look_at_each_png(seen.extend)
+    for words in ("one", "two"):
+        OVERLAPPING.text(0.5, 0.5, words)
+    png(OVERLAPPING)
+    assert seen == ["'one' over 'two'"]
