@@ -33,6 +33,8 @@ def asked(name, value=0.9):
         response = ("S", "T", "CS", "PS", "L", "L")[MASKED.index(name)]
         sense = "at_least" if name == "loop_floor_db" else "at_most"
         also = {"masks": (ls.Mask(response, ((1.0, 0.0), (2.0, 0.0)), sense),)}
+    if name == "saturation_percent":
+        also = {"control_range": (-1.0, 1.0)}
     if name == "weighted_norm":
         also = {"weights": (ls.Weight("S", ((1.0, 0.0), (2.0, 0.0))),)}
     return {name: value} | also
