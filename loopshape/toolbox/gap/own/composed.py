@@ -78,13 +78,16 @@ class Composed:
         whole = kernel.windows if self.is_compiled else getattr(kernel.windows, "py_func", kernel.windows)
         motion, law = self.motion, self.law
 
-        def run(x0: Array, first: Array, u: Array, p: Any, f: Array, places: Array, nx: int, *others: Any) -> None:
+        def run(m: Mapping[str, float], p: Any, x0: Array, driving: kernel.Driving, out: Array) -> None:
+            f, nx = self.forces(m), len(self.model.states)
             acts = np.flatnonzero((f != self._idle).any(axis=1))
             moves = acts if (f[acts][:, [kernel.BRISTLES, kernel.INERTIA]] > 0.0).any() else acts[:0]
             kept = nx + kernel.PER_PORT * moves[:, None] + np.arange(kernel.PER_PORT)
             x0 = np.concatenate([x0[:, :nx], x0[:, kept.ravel()]], axis=1)
+            own = nx + kernel.PER_PORT * np.arange(acts.size) if moves.size else np.full(acts.size, -1)
+            places = np.column_stack([self.places[acts], acts, own])
             with np.errstate(all="ignore"):  # a wrong hypothesis may run away; that is no crash
-                whole(motion, law, x0, first, u, p, f[acts], np.column_stack([places[acts], acts]), nx, *others)
+                whole(motion, law, kernel.Acting(p, f[acts], places), x0, driving, out)
 
         return run
 

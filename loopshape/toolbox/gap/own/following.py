@@ -187,11 +187,11 @@ def simulated(c: Composed, f: Followed, m: Mapping[str, float], x0: Array, push:
     u = np.column_stack([actuated(f.u[:, j], c.actuator(j, m), f.tick_s) for j in range(f.u.shape[1])])
     if push is not None and push.u is not None:
         u = u + push.u
-    nx = len(c.model.states)
-    out = np.empty((len(x0), f.length, nx))
+    out = np.empty((len(x0), f.length, len(c.model.states)))
     first = np.tile(f.first, len(x0) // len(f.first))
     steps = max(1, int(np.ceil(f.tick_s * min(max(SLOWEST_HZ, c.fastest / _STABLE), _FINEST_HZ))))
-    c.run(x0, first, np.ascontiguousarray(u), c.values(m, f.constants), c.forces(m), c.places, nx, f.tick_s, steps, out)
+    driving = kernel.Driving(first, np.ascontiguousarray(u), f.tick_s, steps)
+    c.run(m, c.values(m, f.constants), x0, driving, out)
     states = [out[:, :, c.model.states.index(o.state)] for o in c.model.outputs]
     read = f.blocks(np.stack([sensed(x, c.sensor(k, m), f.tick_s) for k, x in enumerate(states)], axis=2))
     return read if push is None or push.y is None else read + np.tile(push.y, (len(x0) // len(f.first), 1, 1))

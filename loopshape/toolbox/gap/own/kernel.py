@@ -9,7 +9,7 @@ the deflection, and is solved exactly at the speed of each stage (an exponential
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -33,8 +33,26 @@ FIELDS = (
     VISCOUS_SPEED, VISCOUS_POWER, ASYMMETRY, COUPLING_HARDENING, MOTOR_DAMPING, VISCOUS_SQUARE,
     LOAD, DRIVEN_BACK, LOAD_STRIBECK, LOAD_SQUARE,
 ) = range(len(FIELDS))  # fmt: skip
-#: where a port is: indices of its input, position and speed, and its own number, a row (nports, 4)
-DRIVEN, POSITION, SPEED, PORT = 0, 1, 2, 3
+#: where a port is: indices of its input, position and speed, its own number, and its first own state, -1 without, a row
+DRIVEN, POSITION, SPEED, PORT, OWN = range(5)
+
+
+class Acting(NamedTuple):
+    """A model's parameters, what acts at its ports (nports, fields), and their places (nports, 5)."""
+
+    p: Any
+    f: Array
+    places: np.ndarray
+
+
+class Driving(NamedTuple):
+    """Rows of the inputs (n, nu) where windows begin, the inputs, seconds a row and the steps taken within it."""
+
+    first: np.ndarray
+    u: Array
+    tick_s: float
+    steps: int
+
 
 _njit = numba.njit(nogil=True, error_model="numpy", _nrt=False)  # these make no arrays: counting references took most
 
@@ -72,11 +90,11 @@ def friction(f: Array, j: int, v: float, z: float, u: float) -> float:
 
 
 @_njit
-def _bend(f: Array, places: Array, nx: int, x: Array, stage: Array, h: float) -> None:
+def _bend(f: Array, places: Array, x: Array, stage: Array, h: float) -> None:
     """Deflections of the bristles in `stage`, a time h after those in x, at the mean of both speeds."""
     for j in range(places.shape[0]):
         if f[j, BRISTLES] > 0.0 and f[j, COULOMB] > 0.0:
-            k, v = nx + PER_PORT * j + BRISTLE, 0.5 * (x[places[j, SPEED]] + stage[places[j, SPEED]])
+            k, v = places[j, OWN] + BRISTLE, 0.5 * (x[places[j, SPEED]] + stage[places[j, SPEED]])
             most = f[j, BRISTLES] * level(f, j, v) / f[j, COULOMB]
             slid = np.exp(-abs(v) * h / most)
             stage[k] = slid * x[k] + (1.0 - slid) * most * np.sign(v)
@@ -110,7 +128,7 @@ def no_law(j, q, v, x, u, p):  # type: ignore[no-untyped-def]
 
 
 @_njit
-def _driven(law, f, places, nx, x, u, p, drive, dx):  # type: ignore[no-untyped-def]
+def _driven(law, f, places, x, u, p, drive, dx):  # type: ignore[no-untyped-def]
     """What drives the model, `drive` (nu,), under inputs u and the forces at its ports, whose derivatives go to dx.
 
     Behind a coupling a law acts on the motor, and what the motion gives of it at the load is taken away.
@@ -118,8 +136,8 @@ def _driven(law, f, places, nx, x, u, p, drive, dx):  # type: ignore[no-untyped-
     for i in range(drive.size):
         drive[i] = u[i]
     for j in range(places.shape[0]):
-        q, v, k, a, bent = x[places[j, POSITION]], x[places[j, SPEED]], nx + PER_PORT * j, places[j, DRIVEN], 0.0
-        if x.size > nx:
+        q, v, k, a, bent = x[places[j, POSITION]], x[places[j, SPEED]], places[j, OWN], places[j, DRIVEN], 0.0
+        if k >= 0:
             dx[k + BRISTLE] = dx[k + MOTOR] = dx[k + MOTOR_SPEED] = 0.0
             bent = x[k + BRISTLE]
             if f[j, INERTIA] > 0.0:
@@ -143,12 +161,14 @@ def _buffers(wide: int, nu: int) -> tuple[Array, ...]:
 
 
 @numba.njit(nogil=True, error_model="numpy")
-def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  # type: ignore[no-untyped-def]
-    """Fill out (windows, length, nx): states at each tick from x0 (windows, extended) at row `first` of u (n, nu).
+def windows(motion, law, acting, x0, driving, out):  # type: ignore[no-untyped-def]
+    """Fill out (windows, length, nx): states at each row of the inputs from x0 (windows, extended).
 
     x0 may be (windows, nx) where no port has bristles or a motor of its own.
     """
-    wide, nu, h = x0.shape[1], u.shape[1], tick_s / steps
+    p, f, places = acting
+    first, u, tick_s, steps = driving
+    wide, nx, nu, h = x0.shape[1], out.shape[2], u.shape[1], tick_s / steps
     x, mid, k1, k2, k3, k4, row, drive = _buffers(wide, nu)
     other_x, other_mid, other_k1, other_k2, other_k3, other_k4, other_row, other_drive = _buffers(wide, nu)
     for one in range(0, x0.shape[0], 2):  # two at a time: while one waits for a result the other is computed
@@ -160,14 +180,14 @@ def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  #
                 out[one, n, i], out[other, n, i] = x[i], other_x[i]
             for j in range(places.shape[0] if wide > nx else 0):
                 if f[j, INERTIA] > 0.0:
-                    motor = nx + PER_PORT * j + MOTOR
+                    motor = places[j, OWN] + MOTOR
                     out[one, n, places[j, POSITION]], out[other, n, places[j, POSITION]] = x[motor], other_x[motor]
             for i in range(nu):
                 row[i], other_row[i] = u[first[one] + n, i], u[first[other] + n, i]
             t, other_t = (first[one] + n) * tick_s, (first[other] + n) * tick_s
             for s in range(steps):
-                _driven(law, f, places, nx, x, row, p, drive, k1)
-                _driven(law, f, places, nx, other_x, other_row, p, other_drive, other_k1)
+                _driven(law, f, places, x, row, p, drive, k1)
+                _driven(law, f, places, other_x, other_row, p, other_drive, other_k1)
                 moved = motion(t + s * h, x, drive, p)
                 other_moved = motion(other_t + s * h, other_x, other_drive, p)
                 for i in range(nx):
@@ -175,10 +195,10 @@ def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  #
                 for i in range(wide):
                     mid[i], other_mid[i] = x[i] + 0.5 * h * k1[i], other_x[i] + 0.5 * h * other_k1[i]
                 if wide > nx:
-                    _bend(f, places, nx, x, mid, 0.5 * h)
-                    _bend(f, places, nx, other_x, other_mid, 0.5 * h)
-                _driven(law, f, places, nx, mid, row, p, drive, k2)
-                _driven(law, f, places, nx, other_mid, other_row, p, other_drive, other_k2)
+                    _bend(f, places, x, mid, 0.5 * h)
+                    _bend(f, places, other_x, other_mid, 0.5 * h)
+                _driven(law, f, places, mid, row, p, drive, k2)
+                _driven(law, f, places, other_mid, other_row, p, other_drive, other_k2)
                 moved = motion(t + (s + 0.5) * h, mid, drive, p)
                 other_moved = motion(other_t + (s + 0.5) * h, other_mid, other_drive, p)
                 for i in range(nx):
@@ -186,10 +206,10 @@ def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  #
                 for i in range(wide):
                     mid[i], other_mid[i] = x[i] + 0.5 * h * k2[i], other_x[i] + 0.5 * h * other_k2[i]
                 if wide > nx:
-                    _bend(f, places, nx, x, mid, 0.5 * h)
-                    _bend(f, places, nx, other_x, other_mid, 0.5 * h)
-                _driven(law, f, places, nx, mid, row, p, drive, k3)
-                _driven(law, f, places, nx, other_mid, other_row, p, other_drive, other_k3)
+                    _bend(f, places, x, mid, 0.5 * h)
+                    _bend(f, places, other_x, other_mid, 0.5 * h)
+                _driven(law, f, places, mid, row, p, drive, k3)
+                _driven(law, f, places, other_mid, other_row, p, other_drive, other_k3)
                 moved = motion(t + (s + 0.5) * h, mid, drive, p)
                 other_moved = motion(other_t + (s + 0.5) * h, other_mid, other_drive, p)
                 for i in range(nx):
@@ -197,10 +217,10 @@ def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  #
                 for i in range(wide):
                     mid[i], other_mid[i] = x[i] + h * k3[i], other_x[i] + h * other_k3[i]
                 if wide > nx:
-                    _bend(f, places, nx, x, mid, h)
-                    _bend(f, places, nx, other_x, other_mid, h)
-                _driven(law, f, places, nx, mid, row, p, drive, k4)
-                _driven(law, f, places, nx, other_mid, other_row, p, other_drive, other_k4)
+                    _bend(f, places, x, mid, h)
+                    _bend(f, places, other_x, other_mid, h)
+                _driven(law, f, places, mid, row, p, drive, k4)
+                _driven(law, f, places, other_mid, other_row, p, other_drive, other_k4)
                 moved = motion(t + (s + 1) * h, mid, drive, p)
                 other_moved = motion(other_t + (s + 1) * h, other_mid, other_drive, p)
                 for i in range(nx):
@@ -211,8 +231,8 @@ def windows(motion, law, x0, first, u, p, f, places, nx, tick_s, steps, out):  #
                         other_k1[i] + 2.0 * (other_k2[i] + other_k3[i]) + other_k4[i]
                     )
                 if wide > nx:
-                    _bend(f, places, nx, x, mid, h)
-                    _bend(f, places, nx, other_x, other_mid, h)
+                    _bend(f, places, x, mid, h)
+                    _bend(f, places, other_x, other_mid, h)
                 for i in range(wide):
                     x[i], other_x[i] = mid[i], other_mid[i]
 

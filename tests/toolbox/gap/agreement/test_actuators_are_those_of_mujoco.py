@@ -13,6 +13,7 @@ from loopshape.toolbox.gap.mechanism.numbers import Numbers
 from loopshape.toolbox.gap.nouns.machine import Mechanism
 from loopshape.toolbox.gap.own.composed import Composed
 from loopshape.toolbox.gap.own.following import extended, simulated, simulated_along
+from loopshape.toolbox.gap.own.kernel import Driving
 
 mujoco = pytest.importorskip("mujoco", reason="the extra `mujoco` is not installed")
 
@@ -270,8 +271,8 @@ def test_a_servo_behind_a_spring_or_play_sees_the_rotor_as_mujoco_steps_it(kind)
     shoulder = model.states.index("shoulder")
     x0[0, shoulder] = x0[0, nx + 3 * [p.name for p in model.ports].index("shoulder") + 1] = 0.1
     for play in (0.0, 0.03):
-        forces = c.forces(moves | {at + "play": play})
-        c.run(x0, np.zeros(1, dtype=np.int64), drive, c.values(moves), forces, c.places, nx, 0.002, 20, out)
+        driving = Driving(np.zeros(1, dtype=np.int64), drive, 0.002, 20)
+        c.run(moves | {at + "play": play}, c.values(moves), x0, driving, out)
         theirs = behind_a_coupling(xml, commands, hold, play)
         twist = np.max(np.abs(theirs[:, 1] - theirs[:, 0]))
         assert twist > 5e-3
@@ -301,8 +302,8 @@ def test_friction_of_a_servos_gear_grows_with_the_effort_that_its_law_gives():
     for share in (0.3, 0.0):
         x0, out = np.zeros((1, nx + 3 * len(model.ports))), np.empty((1, len(drive), nx))
         x0[0, shoulder] = 0.1
-        f = c.forces({at + "coulomb": 0.05, at + "coulomb_speed": 0.05, at + "load": share})
-        c.run(x0, np.zeros(1, dtype=np.int64), drive, c.values({}), f, c.places, nx, 0.002, 20, out)
+        moves = {at + "coulomb": 0.05, at + "coulomb_speed": 0.05, at + "load": share}
+        c.run(moves, c.values({}), x0, Driving(np.zeros(1, dtype=np.int64), drive, 0.002, 20), out)
         mine.append(out[0, :, shoulder])
     effect = np.sqrt(np.mean((mine[1] - theirs) ** 2))
     assert np.sqrt(np.mean((mine[0] - theirs) ** 2)) < 0.02 * effect

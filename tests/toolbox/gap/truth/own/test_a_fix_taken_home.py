@@ -18,6 +18,7 @@ from loopshape.toolbox.gap.nouns.effect import NotWritten, fix_of
 from loopshape.toolbox.gap.nouns.machine import Kind, Mechanism
 from loopshape.toolbox.gap.own.catalogue import PortScale, Scales, forms
 from loopshape.toolbox.gap.own.composed import Composed
+from loopshape.toolbox.gap.own.kernel import Driving
 from loopshape.toolbox.gap.own.kinds import with_kinds
 from loopshape.toolbox.gap.own.signals import actuated, sensed
 
@@ -111,7 +112,7 @@ def predicted(model, moves):
     drive = np.zeros((ROWS, len(model.inputs)))
     drive[:, 0] = actuated(model.inputs[0].factor * command(), c.actuator(0, moves), STEP_S)
     x0, out = np.zeros((1, nx + 3 * len(model.ports))), np.empty((1, ROWS, nx))
-    c.run(x0, np.zeros(1, dtype=np.int64), drive, c.values(moves), c.forces(moves), c.places, nx, STEP_S, 2, out)
+    c.run(moves, c.values(moves), x0, Driving(np.zeros(1, dtype=np.int64), drive, STEP_S, 2), out)
     states = [out[0, :, model.states.index(o.state)] for o in model.outputs]
     return np.stack([sensed(states[k], c.sensor(k, moves), STEP_S) for k in range(ny)], axis=1)
 
