@@ -20,6 +20,8 @@ MEASURED = "0.1"
 LEAST, MOST = 4, 5  # hypotheses that are shown
 LEAST_PROBABILITY = 0.001  # a hypothesis below is shown only to fill the least
 _LINE = 96  # characters of the title's lines
+#: letters of sizes that fit below a hypothesis's name at a size that can be read in print
+LONGEST = 58
 _WINDOW_S = (3.0, 10.0)
 CURVES, ROOM = 2, 0.6  # of a missing force, side by side at most; above and below them, of their height
 _LONG = 40  # characters of a name that leaves room for two columns of the key
@@ -107,7 +109,7 @@ def hypotheses(report: GapReport, *, ax: Axes | None = None) -> Axes:
         name, size, weight = named(r.effect), sizes(r), "bold" if k == 0 else "normal"
         ax.text(0.0, k + 0.17, name, va="center", fontsize=min(8.0, 300.0 / len(name)), fontweight=weight)
         ax.text(1.02, k + 0.74, percent(r.probability), va="center", fontsize=8.0, fontweight=weight)
-        ax.text(0.0, k + 0.46, size, va="center", fontsize=min(7.0, 390.0 / max(len(size), 1)), color=QUIET)
+        ax.text(0.0, k + 0.46, size, va="center", fontsize=min(7.0, 6.6 * LONGEST / max(len(size), 1)), color=QUIET)
     ax.set_xlim(0.0, 1.0)
     ax.set_ylim(max(len(rows), 4), 0.0)
     ax.set_yticks([])
@@ -120,8 +122,13 @@ def hypotheses(report: GapReport, *, ax: Axes | None = None) -> Axes:
 
 
 def sizes(r: Ranked) -> str:
-    """Magnitudes with intervals and units, "" where there are none."""
-    return ";  ".join(_size(*part) for part in r.sizes.values())
+    """Magnitudes with intervals and units, "" where there are none; where that is too long, the last without them."""
+    parts = list(r.sizes.values())
+    whole = [_size(*part) for part in parts]
+    for k in range(len(parts) - 1, 0, -1):
+        if len(";  ".join(whole)) > LONGEST:
+            whole[k] = _size(parts[k][0], None)
+    return ";  ".join(whole)
 
 
 def _size(text: str, interval: tuple[float, float] | None) -> str:
