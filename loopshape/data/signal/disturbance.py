@@ -57,6 +57,12 @@ class Disturbance:
         samples = real_array(self.samples, "samples of a disturbance", ndim=1)
         samples.setflags(write=False)
         object.__setattr__(self, "samples", samples)
+        held = self.recorded_under
+        if held is not None and self.rate_hz is not None and abs(self.rate_hz - held.rate_hz) > 1e-6 * held.rate_hz:
+            raise WrongUseError(
+                "a disturbance was recorded at another rate than the controller's that closed the loop",
+                f"{self.rate_hz:g} Hz and {held.rate_hz:g} Hz", "give the controller as it ran",
+            )  # fmt: skip
         if self.duration_s <= 0.0 or not np.isfinite(self.control_mean):
             raise WrongUseError(
                 "duration_s of a disturbance must be positive, control_mean finite",
@@ -150,6 +156,11 @@ class Disturbance:
             f, power, np.zeros(f.size), None, loop, duration_s=values.size / rate_hz, control_mean=control_mean,
             samples=samples, repeats=True,
         )  # fmt: skip
+
+    @property
+    def rate_hz(self) -> float | None:
+        """Rate of its samples in Hz, None of a spectrum."""
+        return self.samples.size / (self.duration_s * (1 + self.repeats)) if self.samples.size else None
 
     @property
     def rms(self) -> float:

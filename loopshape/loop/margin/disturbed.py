@@ -118,10 +118,11 @@ class _Carried:
 
 def _carried(loop: Loop, disturbance: Disturbance) -> _Carried:
     held, rate_hz = disturbance.recorded_under, loop.controller.rate_hz
-    if held is not None and held.rate_hz != rate_hz:
+    own_hz = disturbance.rate_hz if held is None else held.rate_hz
+    if own_hz is not None and abs(own_hz - rate_hz) > 1e-6 * rate_hz:
         raise WrongUseError(
             f"what disturbs loop {loop.plant.loop} was recorded at another rate than the controller's",
-            f"{held.rate_hz:g} Hz and {rate_hz:g} Hz",
+            f"{own_hz:g} Hz and {rate_hz:g} Hz",
             "record it with a controller of this rate",
         )
     rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)

@@ -182,3 +182,15 @@ def test_ranges_and_lengths_that_make_no_sense_are_refused():
         ls.Disturbance.from_profile([0.0, 1.0], RATE)
     with pytest.raises(ls.errors.WrongUseError, match="needs 512 samples"):
         ls.Disturbance.from_arrays(np.zeros(100), RATE)
+
+
+def test_another_rate_is_refused():
+    error = np.random.default_rng(1).standard_normal(1000)
+    with pytest.raises(ls.errors.WrongUseError, match="another rate"):
+        ls.Disturbance.from_arrays(error, 2.0 * RATE, recorded_under=controlled(OLD))
+    for other in (
+        ls.Disturbance.from_arrays(error, 2.0 * RATE),
+        ls.Disturbance.from_profile(error - error, 2.0 * RATE),
+    ):
+        with pytest.raises(ls.errors.WrongUseError, match="another rate"):
+            read(other)
