@@ -185,7 +185,7 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
         actuator = _actuator(loop, disturbance, control_range)
         pieces = [own] if disturbance.repeats else own.pieces() if unlike else None
         records = pieces or _at_random(loop, disturbance, carried, samples)
-        changed = _changed(loop, control, actuator, records)
+        changed = _changed(loop, control, actuator, records, counted=unlike or disturbance.repeats)
         readings["saturation_percent"] = _saturation(control, actuator, changed)
         if any(one.away for one in changed):
             return Disturbed(readings, carried.outside(), away=True)
@@ -217,18 +217,21 @@ def change(f: Array, rate_hz: float) -> ComplexArray:
 
 
 def _changed(
-    loop: Loop, control: _Power, actuator: Actuator, records: Sequence[Record]
+    loop: Loop, control: _Power, actuator: Actuator, records: Sequence[Record], *, counted: bool
 ) -> tuple[Factors, Factors, Factors]:
-    """What saturation changes at the estimate and at both ends of the power of the plant's input."""
+    """What saturation changes at the estimate and at both ends of the power of the plant's input.
+
+    With `counted` few samples outside count as well: the records are what there is, and no noise.
+    """
     rms = control.rms
-    if actuator.share(rms[2]) < RARE and all(actuator.holds(one.control) for one in records):
-        return (Factors(),) * 3
+    if (counted or actuator.share(rms[2]) < RARE) and all(actuator.holds(one.control) for one in records):
+        return (Factors(share=Factor(0.0, 0.0, 0.0) if counted else None),) * 3
     n = max(one.control.size for one in records) // 2 * 2
     f = _lines(n, loop.controller.rate_hz)
     P, C1 = continued(loop.plant, f, loop.integrators or 0).response, loop.controller.response(f)
     loops = Loops.of(*(_padded(x, n) for x in (C1 * P / (1.0 + C1 * P), P / (1.0 + C1 * P))))
     size = max(float(np.sqrt(np.mean([np.mean(one.control**2) for one in records]))), 1e-300)
-    middle, low, high = (factors(records, loops, actuator, float(x / size)) for x in rms)
+    middle, low, high = (factors(records, loops, actuator, float(x / size), counted=counted) for x in rms)
     return middle, low, high
 
 
@@ -296,7 +299,8 @@ def largest(crossings: float, samples: float, level: float) -> float:
     """
     rare = -np.log(level)
     by_crossings = np.sqrt(2.0 * np.log(max(2.0 * crossings / rare, 1.0)))
-    return float(min(by_crossings, ndtri(0.5 * (1.0 + level ** (1.0 / max(samples, 1.0))))))
+    one, every = (ndtri(0.5 * (1.0 + level ** (1.0 / n))) for n in (1.0, max(samples, 1.0)))  # alike, independent
+    return float(min(max(by_crossings, one), every))
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,7 @@ def simulate(control: Array, error: Array, loops: Loops, actuator: Actuator) -> 
     return u, e, False
 
 
-def factors(records: Sequence[Record], loops: Loops, actuator: Actuator, scale: float) -> Factors:
+def factors(records: Sequence[Record], loops: Loops, actuator: Actuator, scale: float, *, counted: bool) -> Factors:
     """What saturation changes in records of the linear loop's input and error (n,), all times `scale`."""
     ratios, shares = [], []
     for control, error in records:
@@ -138,7 +138,7 @@ def factors(records: Sequence[Record], loops: Loops, actuator: Actuator, scale: 
     every = np.array(ratios).T
     mean = [_factor(one, 2.0 / np.sqrt(len(records))) for one in (*every[:2], np.array(shares))]
     single = [_factor(one, 2.0) for one in every[2:]]
-    counted = mean[2].value * sum(one.control.size for one in records) > COUNTED
+    counted |= mean[2].value * sum(one.control.size for one in records) > COUNTED
     away = mean[1].high > WILD * mean[1].low
     return Factors(mean[0], mean[1], single[0], single[1], mean[2] if counted else None, away)
 

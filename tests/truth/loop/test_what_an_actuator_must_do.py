@@ -134,6 +134,24 @@ def test_tones_are_told_from_noise_and_keep_their_own_peak():
     assert any("unlike Gaussian noise" in text for text in verdict.warnings)
 
 
+def test_a_shock_saturates_for_as_long_as_it_lasts():
+    error = np.zeros(N)
+    error[N // 2 : N // 2 + 40] = 1.0
+    margins = read(
+        ls.Disturbance.from_arrays(error, RATE, recorded_under=controlled(NEW)), saturation_percent=5.0,
+        control_range=(-1.0, 1.0),
+    )  # fmt: skip
+    assert margins.saturation_percent == pytest.approx(100.0 * 40 / (0.8 * N), rel=0.1)  # of the middle that is used
+    assert margins.control_peak == pytest.approx(NEW, rel=0.05)
+
+
+def test_a_drift_slower_than_the_record_is_as_large_as_one_value_of_it():
+    f = np.linspace(0.001, 0.002, 50)
+    slow = ls.Disturbance.from_spectrum(f, np.full(50, 1e3), recorded_under=controlled(NEW), duration_s=10.0)
+    margins = read(slow)
+    assert margins.control_peak == pytest.approx(0.6745 * margins.control_rms, rel=0.02)  # the median of one |value|
+
+
 def test_a_spectrum_has_no_peak_without_a_length_and_its_peak_is_that_of_gaussian_noise():
     spectrum = ls.Disturbance.from_spectrum([0.0, 250.0], [1e-4, 1e-4])
     assert np.isnan(read(spectrum).control_peak)
