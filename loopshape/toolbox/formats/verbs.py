@@ -95,7 +95,7 @@ def simulate(
     >>> C = ls.controller(ls.gain(2.0), ls.pi(1.0), rate_hz=100.0)
     >>> P = control.tf([1.0], [0.1, 1.0])
     >>> ls.formats.simulate(P, C, ls.formats.OutputLimits(-1.2, 1.2), setpoint=np.ones(200))
-    Simulation: 200 samples, error rms 0.1884, limited 5 %
+    Simulation: 200 samples, error rms 0.1794, limited 0.5 %
     """
     from loopshape.toolbox.formats.controllers.limited import simulate
 

@@ -107,7 +107,7 @@ def hypotheses(report: GapReport, *, ax: Axes | None = None) -> Axes:
         ax.barh(k + 0.74, r.probability, 0.2, color=colour, gid=f"probability {r.effect}", zorder=2.0)
         ax.barh(k + 0.74, 1.0, 0.2, color="0.94", zorder=1.0)
         name, size, weight = named(r.effect), sizes(r), "bold" if k == 0 else "normal"
-        ax.text(0.0, k + 0.17, name, va="center", fontsize=min(8.0, 300.0 / len(name)), fontweight=weight)
+        ax.text(0.0, k + 0.17, name, va="center", fontsize=max(6.1, min(8.0, 300.0 / len(name))), fontweight=weight)
         ax.text(1.02, k + 0.74, percent(r.probability), va="center", fontsize=8.0, fontweight=weight)
         ax.text(0.0, k + 0.46, size, va="center", fontsize=min(7.0, 6.6 * LONGEST / max(len(size), 1)), color=QUIET)
     ax.set_xlim(0.0, 1.0)

@@ -46,7 +46,7 @@ stretches.LONG = sources.LONG = tables.LONG = sources.LONG_TEXT = int(sys.argv[4
 tables.KEPT_BYTES = int(sys.argv[5])
 stretches.AT_ONCE = sources.AT_ONCE = tables.AT_ONCE = faults.AT_ONCE = int(sys.argv[6])
 import pandas, pyarrow.parquet, numpy as np
-import scipy.linalg
+import scipy.linalg, scipy.signal, scipy.optimize
 import loopshape.identify.frequency_response
 from loopshape.core.kernels.spectra import cross_spectra
 square = np.eye(300) * 2.0
@@ -64,6 +64,7 @@ from loopshape.identify.spectra import transforms
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.io.run import tables
 from loopshape.io.run.run_folder import read_run
+import scipy.signal  # loaded when a sweep is thinned: no memory of the recording's
 folder = Path(sys.argv[1])
 stretches.LONG = tables.LONG = 100_000
 tables.KEPT_BYTES, transforms.PART, long_sweeps.PART = 10_000_000, 50_000, 1 << 17

@@ -173,7 +173,7 @@ def test_a_missed_requirement_is_1_and_wrong_use_is_2(bench: Path) -> None:
         ((own, "--allow-worse"), "--allow-worse needs a baseline"),
         ((own, "--baseline", "none.json"), "a file does not exist"),
         ((own, "--baseline", REQUIRE), "cannot be read as JSON"),
-        ((own, "--baseline", bench / "out" / "bench" / "fits.json"), "not of the format loopshape-verdict/2"),
+        ((own, "--baseline", bench / "out" / "bench" / "fits.json"), "not of the format loopshape-verdict/3"),
     ):
         wrong = check(bench, *words)
         assert wrong.returncode == 2
