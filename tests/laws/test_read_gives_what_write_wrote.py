@@ -144,6 +144,7 @@ def test_verdicts_on_one_loop_and_on_several(tmp_path, seed):
 
 
 def test_a_verdict_on_a_schedule(tmp_path):
+    pytest.importorskip("loopshape.toolbox.schedules", reason="schedules are a toolbox")
     rng = np.random.default_rng(3)
     nodes = [{"load_kg": 1.0}, {"load_kg": 9.0}]
     C = ls.schedules.gain_scheduled([controller(rng), controller(rng)], nodes, {"load_kg": "load_kg"})
