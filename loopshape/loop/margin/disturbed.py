@@ -172,8 +172,8 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     error, control, rate, jerk = (carried.through(weight) for weight in _weights(carried, rate_hz))
     samples = disturbance.duration_s * rate_hz
     own = _recorded(loop, disturbance)
+    moving = slice(0, own.error.size // 2)
     if disturbance.repeats:
-        moving = slice(0, own.error.size // 2)
         error, control = error.of_size(own.error[moving]), control.of_size(own.control[moving])
     peaks = (
         _Peak.of(control, rate, samples, rate_hz, own.control, repeats=disturbance.repeats),
@@ -183,8 +183,9 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     changed, readings = (Factors(),) * 3, dict[str, Reading]()
     if control_range is not None:
         actuator = _actuator(loop, disturbance, control_range)
-        pieces = [own] if disturbance.repeats else own.pieces() if unlike else None
-        records = pieces or _at_random(loop, disturbance, carried, samples)
+        records = own.pieces() if unlike else _at_random(loop, disturbance, carried, samples)
+        if disturbance.repeats:  # the move without the rest after it
+            records = [Record(own.control[moving], own.error[moving])]
         changed = _changed(loop, control, actuator, records, counted=unlike or disturbance.repeats)
         readings["saturation_percent"] = _saturation(control, actuator, changed)
         if any(one.away for one in changed):
@@ -223,14 +224,14 @@ def _changed(
 
     With `counted` few samples outside count as well: the records are what there is, and no noise.
     """
-    rms = control.rms
-    if (counted or actuator.share(rms[2]) < RARE) and all(actuator.holds(one.control) for one in records):
+    rms, size = control.rms, max(float(np.sqrt(np.mean([np.mean(one.control**2) for one in records]))), 1e-300)
+    largest_scale = float(rms[2] / size)
+    if (counted or actuator.share(rms[2]) < RARE) and all(actuator.holds(largest_scale * x.control) for x in records):
         return (Factors(share=Factor(0.0, 0.0, 0.0) if counted else None),) * 3
     n = max(one.control.size for one in records) // 2 * 2
     f = _lines(n, loop.controller.rate_hz)
     P, C1 = continued(loop.plant, f, loop.integrators or 0).response, loop.controller.response(f)
     loops = Loops.of(*(_padded(x, n) for x in (C1 * P / (1.0 + C1 * P), P / (1.0 + C1 * P))))
-    size = max(float(np.sqrt(np.mean([np.mean(one.control**2) for one in records]))), 1e-300)
     middle, low, high = (factors(records, loops, actuator, float(x / size), counted=counted) for x in rms)
     return middle, low, high
 

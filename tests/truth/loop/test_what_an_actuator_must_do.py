@@ -110,6 +110,26 @@ def test_a_profile_asks_of_the_actuator_what_the_simulated_loop_does():
     assert margins.error_rms == pytest.approx(np.sqrt(np.mean(error**2)), rel=2e-3)
 
 
+def test_a_profile_saturates_for_its_share_of_the_move():
+    t = np.arange(2000) / RATE
+    profile = 0.5 * np.sin(np.pi * t / t[-1]) ** 2
+    _, free = looped(NEW, -profile, np.zeros(t.size))
+    room = 0.9 * float(np.abs(free).max())
+    _, control = looped(NEW, -profile, np.zeros(t.size), room)
+    margins = read(ls.Disturbance.from_profile(profile, RATE), saturation_percent=5.0, control_range=(-room, room))
+    assert margins.saturation_percent == pytest.approx(100.0 * np.mean(np.abs(control) > room), rel=0.03)
+    assert margins.control_peak == pytest.approx(np.abs(control).max(), rel=0.02)
+
+
+def test_what_a_tone_might_reach_counts_at_the_end_of_its_interval():
+    t = np.arange(N) / RATE
+    tone = ls.Disturbance.from_arrays(0.1 * np.sin(2 * np.pi * 5.0 * t), RATE, recorded_under=controlled(NEW))
+    near = 0.1 * NEW * 1.001  # a hair above the peak: within the error of its rms
+    low, high = read(tone, saturation_percent=5.0, control_range=(-near, near))["saturation_percent"].interval
+    assert low == 0.0
+    assert high > 0.0
+
+
 def test_a_derivative_without_its_filter_screams_and_fails():
     rng = np.random.default_rng(3)
     limits = {"control_rms": 1.0, "control_rate": 300.0}
