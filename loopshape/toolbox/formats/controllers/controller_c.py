@@ -15,12 +15,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.toolbox.formats.controllers.controller_words import about, block_words, identifier
 from loopshape.toolbox.formats.controllers.limited import AntiWindup, LimitedLaw
 
-_FLOATING = """
-typedef struct {{
-    {kind} s[{n}][2];
-}} {name}_state;
-
-/* To rest: the state of all sections becomes zero. */
+_RESET = """/* To rest: the state of all sections becomes zero{also}. */
 static inline void {name}_reset({name}_state *state)
 {{
     int k;
@@ -28,8 +23,14 @@ static inline void {name}_reset({name}_state *state)
         state->s[k][0] = {zero};
         state->s[k][1] = {zero};
     }}
-}}
+{last}}}
+"""
+_FLOATING = """
+typedef struct {{
+    {kind} s[{n}][2];
+}} {name}_state;
 
+{reset}
 /* One sample: the error in, the control out. */
 static inline {kind} {name}_step({name}_state *state, {kind} value)
 {{
@@ -52,17 +53,7 @@ typedef struct {{
     {kind} last;
 }} {name}_state;
 
-/* To rest: the state of all sections becomes zero, and the last output. */
-static inline void {name}_reset({name}_state *state)
-{{
-    int k;
-    for (k = 0; k < {n}; k++) {{
-        state->s[k][0] = {zero};
-        state->s[k][1] = {zero};
-    }}
-    state->last = {zero};
-}}
-
+{reset}
 /* Takes over at an output without a bump: filters at rest at this error, the integrator at the output. */
 static inline void {name}_start({name}_state *state, {kind} value, {kind} output)
 {{
@@ -139,16 +130,7 @@ typedef struct {{
     int64_t s[{n}][2];
 }} {name}_state;
 
-/* To rest: the state of all sections becomes zero. */
-static inline void {name}_reset({name}_state *state)
-{{
-    int k;
-    for (k = 0; k < {n}; k++) {{
-        state->s[k][0] = 0;
-        state->s[k][1] = 0;
-    }}
-}}
-
+{reset}
 /* One sample: the error in, the control out, both whole numbers in a unit of your choice. */
 static inline int32_t {name}_step({name}_state *state, int32_t input)
 {{
@@ -213,7 +195,10 @@ def c_text(controller: Controller, law: LimitedLaw | None = None) -> str:
         notes = [line.format(**stated) for line in _SAID_LIMITED]
     head = "\n".join(f" * {line}".rstrip() for line in [*about(controller), "", *notes])
     words = {"name": name, "UPPER": name.upper(), "n": len(controller.blocks), "kind": _kind(controller)}
-    words |= {"zero": "0.0f" if form.name == "single" else "0.0", "feedback": _feedback(controller)}
+    zero = "0" if form.fixed else "0.0f" if form.name == "single" else "0.0"
+    words |= {"zero": zero, "feedback": _feedback(controller)}
+    last = ("", "") if law is None else (", and the last output", f"    state->last = {zero};\n")
+    words["reset"] = _RESET.format(also=last[0], last=last[1], **words)
     body = (_FIXED if form.fixed else _FLOATING).format(**words) if law is None else _limited(law, words)
     return (
         f"/*\n{head}\n */\n#ifndef {name.upper()}_H\n#define {name.upper()}_H\n\n"
