@@ -79,9 +79,9 @@ def watched(asked):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("frames_come", "late_ms"), [(False, 0.03), (True, 0.3)])
+@pytest.mark.parametrize(("frames_come", "late_ms"), [(False, 0.03), (True, 0.4)])
 def test_a_tick_begins_no_later_than_the_page_says(frames_come, late_ms):
-    """At 5 kHz, two loops of 8 sections: while samples are sent, and while full frames from the host are handled."""
+    """Armed, at 5 kHz, two loops of 8 sections: while samples are sent, and while full frames from the host are handled."""
     late = []
     while len(late) < TRIES and (not late or late[-1] > late_ms):
         late.append(latest_ms(frames_come))
@@ -90,7 +90,7 @@ def test_a_tick_begins_no_later_than_the_page_says(frames_come, late_ms):
 
 
 def latest_ms(frames_come):
-    """How late a tick of a recording begins at most."""
+    """How late a tick begins at most, from the arming to the end of a recording."""
     with board(*BY_INSTRUCTIONS_ALONE, rate_hz=5000.0) as (port, monitor), session(port) as one:
         armed(one, configuration(*CASES["2 loops of 8"], watchdog_ms=60_000))
         one.ask(Request.BEGIN, start_payload(1, 2000, 0, 2 if frames_come else 0, 0, False))

@@ -65,6 +65,7 @@ void board_enable(void)
 {
     current = 0.0f;
     safe = 0;
+    watched.latest = 0;
 }
 
 void board_safe(void)

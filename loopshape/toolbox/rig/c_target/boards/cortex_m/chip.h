@@ -47,7 +47,7 @@ uint64_t mixed(uint64_t state, uint64_t value);
 
 /*
  * stm32f4.c. For a debugger, or a test: ticks done; of a simulated machine, when it was made safe last; cycles of the longest
- * tick, and of the longest way from the timer to its tick.
+ * tick, and of the longest way from the timer to its tick since the machine was armed.
  */
 extern struct watched {
     uint32_t ticks, safe_at, longest, latest;

@@ -46,6 +46,7 @@ void board_enable(void)
 {
     DAC_DHR12R1 = 2048;
     BSRR(GPIOB) = 1u << 0;
+    watched.latest = 0;
 }
 
 void board_safe(void)
