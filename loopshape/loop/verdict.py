@@ -50,7 +50,9 @@ FROZEN = (
 class LoopCheck:
     """Loops that are closed together, one or several, at every operating point: what was checked, and what came out.
 
-    `frfs` are the plants with all their lines, `loops` on those that a check looks at, in the same order.
+    `frfs` are the plants with all their lines, `loops` on those that a check looks at, in the same order. Of several
+    loops `each` is the check of one with all others closed (`others_closed`), on the equivalent plant that it meets;
+    its stability is that of all.
     """
 
     verdict: Verdict
@@ -60,6 +62,13 @@ class LoopCheck:
     fits: tuple[Fit, ...] = ()
     together: Requirements | None = None
     recorded_under: tuple[Controller, ...] = ()
+    each: tuple[LoopCheck, ...] = ()
+    others_closed: bool = False
+
+    @property
+    def parts(self) -> tuple[LoopCheck, ...]:
+        """This check, or of several loops that of each and then that of all together."""
+        return (*self.each, replace(self, verdict=replace(self.verdict, each=()))) if self.each else (self,)
 
     @property
     def required(self) -> Requirements | None:
@@ -112,12 +121,13 @@ def check_loops(
         names = ", ".join(repr(one.loop) for one in asked or every)
         raise WrongUseError(f"there is no FRF of loop {names} to check", "", "measure or import one")
     chosen = closed_loops(frfs, every, closed, recorded_under)
+    each: tuple[LoopCheck, ...] = ()
     if len(asked) > 1 or len(chosen.names) > 1:
         _refuse_unknown(asked, chosen.names)
     if len(chosen.names) > 1:
         refuse_disturbed(chosen.names, disturbances)
         loops, notes = matrix_loops(chosen, whole := (together or Requirements()).of_all())
-        found = _verdict_on_all(loops, chosen, asked, whole, fits, notes)
+        found, each = _verdict_on_all(loops, chosen, asked, whole, fits, notes)
     else:
         required = asked[0] if asked else Requirements(chosen.names[0])
         required = required if together is None else required.with_all(together.of_all())
@@ -125,7 +135,7 @@ def check_loops(
         plants = [x if x.recorded_under or not under else replace(x, recorded_under=under[0]) for x in chosen.frfs]
         found, loops = _check_one(plants, own, required, fits, detuned=detuned, disturbances=disturbances)
     kept = _kept(found, chosen)
-    return LoopCheck(kept, loops, tuple(frfs), asked, tuple(fits), together, tuple(recorded_under))
+    return LoopCheck(kept, loops, tuple(frfs), asked, tuple(fits), together, tuple(recorded_under), each)
 
 
 def _verdict_of(checked: Callable[_P, LoopCheck]) -> Callable[_P, Verdict]:
@@ -173,20 +183,22 @@ def _verdict_on_all(
     together: Requirements,
     fits: Sequence[Fit],
     notes: Sequence[str],
-) -> Verdict:
-    """The verdict on several loops, each with the others closed and all at once."""
+) -> tuple[Verdict, tuple[LoopCheck, ...]]:
+    """The verdict on several loops at once, and the check of each with the others closed."""
     found = {loop.plant.recording: matrix_margins(loop) for loop in loops}
     _refuse_mixed(together, found)
     asked, each = {one.loop: one for one in requirements}, []
     for name, own in zip(closed.names, closed.controllers, strict=True):
         required = replace(asked.get(name, Requirements(name)), integrators=None, unstable_poles=None)
-        alone, _ = _check_one(equivalent_plants(name, loops), own, required, fits, detuned=False, counted=False)
+        plants = equivalent_plants(name, loops)
+        alone, mine = _check_one(plants, own, required, fits, detuned=False, counted=False)
         why = "by the count of all loops at once"
         counts = {k: replace(alone.margins[k], stable=m.stable, stability_reason=why) for k, m in found.items()}
-        each.append(replace(alone, margins={k: replace(m, stability_band_hz=None) for k, m in counts.items()}))
+        alone = replace(alone, margins={k: replace(m, stability_band_hz=None) for k, m in counts.items()})
+        each.append(LoopCheck(alone, mine, plants, (required,) if name in asked else (), others_closed=True))
     warnings = tuple(dict.fromkeys([*notes, *(f"{name}: {text}" for name, m in found.items() for text in m.notes)]))
     lines = worst_lines(dict.fromkeys(found, together), found, TOGETHER)
-    return Verdict(" + ".join(closed.names), lines, found, warnings, tuple(each))
+    return Verdict(" + ".join(closed.names), lines, found, warnings, tuple(one.verdict for one in each)), tuple(each)
 
 
 def _refuse_unknown(requirements: Sequence[Requirements], names: Sequence[str]) -> None:

@@ -234,22 +234,30 @@ def report(
     date: str | None = None,
     figures_mb: float = FIGURES_MB,
     author: str = "",
+    matrix: bool = False,
 ) -> Path:
     """Write all that is known of a run folder as one HTML page that opens offline (default: report.html in it).
 
     With the files of `controllers` and `requirements` the page holds loops, margins and verdict; with that of a
-    `diagram` its picture too, and the controller stands on what its tuned block meets. `date` and `author` stand at its
-    head; `figures_mb` limits the pictures beside the main ones. Raises
+    `diagram` its picture too, and the controller stands on what its tuned block meets. All loops of the plant's matrix
+    are checked at once where `matrix`, or a table [several] of the requirements, asks for it. `date` and `author` stand
+    at its head; `figures_mb` limits the pictures beside the main ones. Raises
     UnreadableInputError for a folder with neither recordings nor FRFs.
     """
     given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
     path = Path(out or Path(run_folder) / "report.html")
-    write_report(path, Path(run_folder), given, date, figures_mb, author)
+    write_report(path, Path(run_folder), given, date, figures_mb, author, matrix)
     return path
 
 
 def write_report(
-    path: Path, folder: Path, given: Sequence[Path | None], date: str | None, figures_mb: float, author: str
+    path: Path,
+    folder: Path,
+    given: Sequence[Path | None],
+    date: str | None,
+    figures_mb: float,
+    author: str,
+    matrix: bool,
 ) -> tuple[RunReport, int]:
     """Write a run's report from files of controllers, requirements and diagram; gives it and its size in bytes."""
     from loopshape.io.files import write_bytes_whole
@@ -257,7 +265,7 @@ def write_report(
     from loopshape.view.html.page import page
 
     day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    made = gather(folder, given[0], given[1], day, figure_bytes(figures_mb), given[2], author)
+    made = gather(folder, given[0], given[1], day, figure_bytes(figures_mb), given[2], author, matrix=matrix)
     data = page(made).encode("utf-8")
     write_bytes_whole(path, data)
     return made, len(data)

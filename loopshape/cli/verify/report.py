@@ -21,6 +21,9 @@ def report(
     date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
     figures_mb: Annotated[float, typer.Option(min=0.0, help="Size of pictures beside the main ones.")] = 0.7,
     author: Annotated[str, typer.Option(help="Who signs it.")] = "",
+    matrix: Annotated[
+        bool, typer.Option("--matrix", help="All loops of the plant's matrix at once, as check does.")
+    ] = False,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -29,7 +32,7 @@ def report(
     from loopshape.view.html.words import WORDS
 
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, size = write_report(path, run, (controller, require, diagram), date, figures_mb, author)
+    made, size = write_report(path, run, (controller, require, diagram), date, figures_mb, author, matrix)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())

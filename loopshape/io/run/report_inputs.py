@@ -18,12 +18,12 @@ from loopshape.data.result.equivalent import Equivalent
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.fit import modes
-from loopshape.io.requirements import read_requirements
+from loopshape.io.requirements import read_required
 from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run
 from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
-from loopshape.io.write.check_files import fits_of, read_diagram
+from loopshape.io.write.check_files import fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers
-from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_frfs, read_matrices
+from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_all_loops, read_frfs, read_matrices
 from loopshape.loop.run_report import Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.loop.verdict import LoopCheck, check_loops
 
@@ -40,8 +40,12 @@ def gather(
     figures_bytes: int = FIGURES_BYTES,
     diagram: Path | None = None,
     author: str = "",
+    *,
+    matrix: bool = False,
 ) -> RunReport:
     """All that is known of a run and of a controller checked on its FRFs, or on what a diagram's tuned block meets.
+
+    Several loops are checked at once, as `check_all` does, where `matrix` or the table [several] asks for it.
 
     Refuses a folder without recordings and FRFs, FRFs that are not those of the recordings, damaged files, and what
     `read_diagram` and `equivalent` refuse.
@@ -49,10 +53,16 @@ def gather(
     run, frfs, matrices = _measured(folder)
     fits = fits_of(folder)
     controllers = read_controllers(controller) if controller is not None else ()
-    requirements = read_requirements(require) if require is not None else ()
+    asked, whole = read_required(require) if require is not None else (None, None)
+    requirements = asked or ()
     drawn = read_diagram(diagram, folder) if diagram is not None else None
     tuned = None if drawn is None else drawn.equivalent()
-    checked = _checked(frfs, controllers, requirements, fits, tuned)
+    if matrix or whole is not None:
+        under = recorded_under(folder)
+        found = check_loops(read_all_loops(folder), controllers, requirements, together=whole, recorded_under=under)
+        checked = found.parts
+    else:
+        checked = _checked(frfs, controllers, requirements, fits, tuned)
     done = {one.verdict.loop for one in checked}
     sheets = _sheets(run) if run is not None else ()
     pages = {f"frf_{one.loop}_{one.recording}" for one in frfs}
@@ -74,7 +84,7 @@ def gather(
         checked=checked,
         unchecked=tuple(required.loop for required in requirements if required.loop not in done),
         controllers=controllers,
-        missing=_missing(run, frfs if tuned is None else tuned.plants, matrices, fits, controllers, requirements),
+        missing=_missing(run, frfs if tuned is None else tuned.plants, matrices, fits, controllers, requirements, done),
         figures=figures,
         figures_left_out=left,
         files=input_files(folder, further),
@@ -179,13 +189,14 @@ def _missing(
     fits: Sequence[Fit],
     controllers: Sequence[Controller],
     requirements: Sequence[Requirements],
+    done: Collection[str],
 ) -> tuple[Missing, ...]:
     """What would be there after the whole chain and is not, each with its command."""
     command = "loopshape report RUN --controller controller.toml --require requirements.toml"
     found = []
     if run is None:
         found.append(Missing("The recordings: these frequency responses came from elsewhere."))
-    if not frfs:
+    if not frfs and not done:
         more = "No frequency response of a single loop:" if matrices else "No frequency responses yet:"
         found.append(Missing(more, "loopshape frf RUN"))
     if frfs and not fits:
@@ -196,7 +207,7 @@ def _missing(
         found.append(Missing("and name it:", command))
     if controllers and not requirements:
         found.append(Missing("No requirements were given, so margins are reported without verdict:", command))
-    measured, governed = {one.loop for one in frfs}, {one.loop for one in controllers}
+    measured, governed = {one.loop for one in frfs} | set(done), {one.loop for one in controllers}
     found += [
         Missing(f"Loop {c.loop} of the controller file has no frequency response.")
         for c in controllers

@@ -15,7 +15,7 @@ from loopshape.loop.run_report import RunReport, StoredFigure
 from loopshape.loop.verdict import LoopCheck
 from loopshape.view.html import model_parts, run_parts, verdict_parts
 from loopshape.view.html.markup import Content, Markup, head, joined, json_block, tag
-from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, plots
+from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, picture, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces
 from loopshape.view.html.words import DASH, WORDS, Cell, count, definitions, details, figure, table
 from loopshape.view.page.page import resource
@@ -77,7 +77,7 @@ def _header(report: RunReport) -> Markup:
     counts = [
         (len(report.recordings), "recording"),
         (len(report.frfs), "frequency response"),
-        (len(report.checked), "checked loop"),
+        (len(_single(report)), "checked loop"),
     ]
     text = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in counts if n)
     plant = report.run.plant if report.run is not None else ""
@@ -136,10 +136,15 @@ def _section(key: str, title: str, inside: Content) -> Markup:
 def _plotted(report: RunReport) -> list[tuple[LoopCheck | None, list[Trace]]]:
     """Curves of each checked loop, then of the plants of all other loops."""
     found: list[tuple[LoopCheck | None, list[Trace]]] = [
-        (one, loop_traces(one.loops, one.frfs)) for one in report.checked
+        (one, loop_traces(one.loops, one.frfs)) for one in _single(report)
     ]
     done = {one.verdict.loop for one in report.checked}
     return found + [(None, plant_traces(mine)) for mine in _unchecked(report, done)]
+
+
+def _single(report: RunReport) -> list[LoopCheck]:
+    """The checks of one loop."""
+    return [one for one in report.checked if not one.each]
 
 
 def _unchecked(report: RunReport, done: set[str]) -> list[list[FRF]]:
@@ -149,7 +154,7 @@ def _unchecked(report: RunReport, done: set[str]) -> list[list[FRF]]:
 
 def _plots(report: RunReport, plotted: Sequence[tuple[LoopCheck | None, list[Trace]]]) -> Markup:
     """Legend and plots of each loop."""
-    plants = [one.frfs[0] for one in report.checked]
+    plants = [one.frfs[0] for one in _single(report)]
     plants += [mine[0] for mine in _unchecked(report, {one.verdict.loop for one in report.checked})]
     parts: list[Content] = [tag("p", _READ, class_="scripted quiet")]
     for (one, traces), plant in zip(plotted, plants, strict=True):
@@ -158,6 +163,9 @@ def _plots(report: RunReport, plotted: Sequence[tuple[LoopCheck | None, list[Tra
         inside = [_legend(traces, None if one is None else one.verdict), plots(plant, one, len(traces), first)]
         below = tag("p", _thinned(traces, one is not None), class_="quiet")
         parts.append(tag("div", tag("h3", title), *inside, below, class_="plots"))
+    for one in report.checked:
+        if one.each and one is not verdict_parts.first(report):
+            parts.append(tag("div", tag("h3", f"Loops {one.verdict.loop} at once"), picture(one), class_="plots"))
     return joined(parts)
 
 

@@ -18,6 +18,7 @@ from loopshape.view.page.payload import requirement_words
 from loopshape.view.plots.nichols import nichols
 from loopshape.view.plots.nichols_guides import closest_db
 from loopshape.view.style import figure_of, png
+from loopshape.view.verdict.together import together_page
 
 #: of more operating points than these the script shows one band at a time
 BANDS_AT_ONCE = 4
@@ -89,10 +90,17 @@ def _without_script(checked: LoopCheck | None, first: bool) -> Markup:
 
 
 def picture(checked: LoopCheck) -> Markup:
-    """The open loop in Nichols' chart, as a picture."""
-    chart = figure_of(nichols(checked.loops, checked.required, verdict=checked.verdict))
+    """The open loop in Nichols' chart, as a picture; of several at once det(I + L) and the disk margins, the worst."""
+    found, alt = checked.verdict, f"Nichols plot of the open loop of {checked.verdict.loop} at all operating points"
+    if checked.each:
+        worst = min(checked.loops, key=lambda x: found.margins[x.plant.recording].disk_margin)
+        name = worst.plant.recording
+        each = {one.verdict.loop: one.verdict.margins[name] for one in checked.each}
+        chart = together_page(worst, found.margins[name], each, checked.together)
+        alt = f"Loops {found.loop} at once at {name}: eigenvalues of L, det(I + L), singular values, disk margins"
+    else:
+        chart = figure_of(nichols(checked.loops, checked.required, verdict=found))
     source = Markup(f"data:image/png;base64,{b64encode(png(chart)).decode('ascii')}")
-    alt = f"Nichols plot of the open loop of {checked.verdict.loop} at all operating points"
     return tag("figure", tag("img", src=source, alt=alt), class_="chart")
 
 

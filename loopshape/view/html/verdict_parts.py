@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from loopshape.core.outcomes import ClosedLoop, Outcome
-from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Limit
+from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, TOGETHER, Limit
 from loopshape.data.result.detuning import WARNED_PERCENT
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.data.result.verdict_words import Row, band_text, crossings_text, known_limits, row_of
+from loopshape.data.result.verdict_words import Row, band_text, known_limits, row_of
 from loopshape.loop.loop import Loop
 from loopshape.loop.run_report import RunReport, asked_outcome
 from loopshape.loop.verdict import LoopCheck
@@ -32,7 +32,7 @@ from loopshape.view.html.words import (
     table,
     together,
 )
-from loopshape.view.verdict.tables import DETUNING, detuning_rows
+from loopshape.view.verdict.tables import DETUNING, detuning_rows, lost_text, lost_title
 
 GAUGE_WIDTH, GAUGE_HEIGHT = 170, 26
 
@@ -94,23 +94,22 @@ def _card(loop: str, outcome: Outcome | None, sentences: Iterable[Content]) -> M
 def _sentences(one: LoopCheck) -> list[Content]:
     """What a loop's verdict comes from: first what fails, then what is open, else what holds."""
     found, points = one.verdict, count(len(one.loops), "operating point")
+    them = "closed loop" if not found.together else "closed loop of all at once"
     said: list[Content] = [] if (hangs := hanging(found)) is None else [hangs]
     for word in (ClosedLoop.UNSTABLE, ClosedLoop.UNDECIDED):
         names = [name for name, m in found.margins.items() if m.stable is word]
         if names:
             verb = "is unstable" if word is ClosedLoop.UNSTABLE else "is neither proven stable nor unstable"
-            said.append(f"The closed loop {verb} at {_few(names)}.")
+            said.append(f"The {them} {verb} at {_few(names)}.")
     for outcome, head in ((Outcome.FAILED, "Missed"), (Outcome.UNDECIDED, "Not decided by these data")):
         lines = [line for line in found.lines if line.outcome is outcome]
         if lines:
             said += [f"{head}:", tag("ul", *(tag("li", _in_words(line)) for line in lines))]
     if asked_outcome(found) is Outcome.PASSED:
         every = f"All {count(len(found.lines), 'requirement')}" if len(found.lines) > 1 else "The requirement"
-        said.append(
-            f"{every} hold{'' if len(found.lines) > 1 else 's'}, and the closed loop is stable, at {_all(points)}."
-        )
+        said.append(f"{every} hold{'' if len(found.lines) > 1 else 's'}, and the {them} is stable, at {_all(points)}.")
     if asked_outcome(found) is None:
-        said.append(f"The closed loop is stable at {_all(points)}; no requirements were given.")
+        said.append(f"The {them} is stable at {_all(points)}; no requirements were given.")
     return said
 
 
@@ -196,7 +195,8 @@ def margins(one: LoopCheck) -> Markup:
 def margins_of(found: Verdict, points: Mapping[str, str]) -> Markup:
     """Both tables of a loop; `points` are words for its recordings."""
     parts = [("Margins", True), ("Peaks and bandwidths", False)]
-    return joined(_margins_table(found, points, what, [x for x in LIMITS if x.margin == own]) for what, own in parts)
+    among = TOGETHER if found.together else LIMITS
+    return joined(_margins_table(found, points, what, [x for x in among if x.margin == own]) for what, own in parts)
 
 
 def _detunings(found: Verdict) -> Markup | None:
@@ -213,12 +213,12 @@ def _margins_table(found: Verdict, points: Mapping[str, str], what: str, among: 
     limits, asked = known_limits(found, among), {line.quantity: line for line in found.lines}
     worst = {limit.name: _worst(found, limit, asked.get(limit.name)) for limit in limits}
     crossed = what == "Margins"
-    columns = ["recording", "closed loop", *map(_column, limits)] + (["0 dB crossings [Hz]"] if crossed else [])
+    columns = ["recording", "closed loop", *map(_column, limits)] + ([lost_title(found)] if crossed else [])
     rows = []
     for name, m in found.margins.items():
         row: list[Cell | Content] = [named(name, points.get(name, "")), badge(m.stable.outcome, m.stable)]
         row += [_margin(m, limit, worst[limit.name] == name, asked.get(limit.name)) for limit in limits]
-        rows.append([*row, crossings_text(m)] if crossed else row)
+        rows.append([*row, lost_text(m)] if crossed else row)
     left_out = [limit for limit in among if limit not in limits]
     endless = [x.label for x in left_out if all(m[x.name].value == np.inf for m in found.margins.values())]
     return table(_caption(what, found, endless), columns, rows, sortable=len(rows) > 1)
@@ -267,18 +267,17 @@ def certificate(one: LoopCheck) -> Markup:
         [Cell(badge(stable.outcome, stable)), reason or DASH, measure or DASH, len(names), ", ".join(names)]
         for (stable, reason, measure), names in sorted(groups.items(), key=lambda group: -group[0][0].severity)
     ]
-    caption = (
-        f"Closed loop {one.verdict.loop}: encirclements of −1 counted on the measured FRF, with the contour closed."
-    )
+    counted = "encirclements of 0 by det(I + L)" if one.each or one.others_closed else "encirclements of −1"
+    caption = f"Closed loop {one.verdict.loop}: {counted}, on the measured FRF, with the contour closed."
     made = table(caption, ["closed loop", "reason", "band to measure", "points", "recordings"], rows, cards=True)
-    poles = _poles(one)
+    poles = None if one.others_closed else _poles(one)
     names = sorted(one.verdict.margins, key=len, reverse=True)
     said = [(next((name for name in names if name in note), ""), note) for note in one.verdict.warnings]
     notes, head = together(said, named=False), "Assumed, and to be noted:"
     return joined(
         [
             made,
-            tag("p", poles),
+            tag("p", poles) if poles else None,
             tag("p", head) if notes else None,
             tag("ul", *notes) if notes else None,
         ]
@@ -297,8 +296,8 @@ def _poles(one: LoopCheck) -> str:
         growing = "an unknown number of unstable poles" if unstable is None else count(unstable, "unstable pole")
         where = f" at {_few(names)}" if len(pairs) > 1 else ""
         parts.append(f"plant with {known} ({basis}) and {growing}{where}")
-    own = count(one.loops[0].controller_integrators(), "integrator")
-    return f"Counted for: {'; '.join(parts)}; controller with {own}."
+    own, among = count(one.loops[0].controller_integrators(), "integrator"), "controllers" if one.each else "controller"
+    return f"Counted for: {'; '.join(parts)}; {among} with {own}."
 
 
 def _rests_on(one: LoopCheck, loop: Loop) -> str:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.baseline import Comparison, LineChange, MarginChange
     from loopshape.data.result.detuning import Reach
+    from loopshape.data.result.margins import Margins
     from loopshape.data.result.verdict import Verdict
 
 Table = tuple[str, Sequence[str], list[list[Any]]]
@@ -74,11 +75,20 @@ def margins_table(verdict: Verdict, *, details: bool = True) -> Table:
     if not details:
         return f"Margins of loop {verdict.loop}", columns, rows
     for row, m in zip(rows, verdict.margins.values(), strict=True):
-        lost = [f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in m.changes.items()]
-        row.append(", ".join(lost) if m.loops else crossings_text(m))
-    if verdict.together:
-        return "All loops at once", [*columns, "lost by"], rows
-    return f"Margins of loop {verdict.loop}", [*columns, "0 dB crossings [Hz]"], rows
+        row.append(lost_text(m))
+    title = "All loops at once" if verdict.together else f"Margins of loop {verdict.loop}"
+    return title, [*columns, lost_title(verdict)], rows
+
+
+def lost_title(verdict: Verdict) -> str:
+    """The head of `lost_text`."""
+    return "lost by" if verdict.together else "0 dB crossings [Hz]"
+
+
+def lost_text(margins: Margins) -> str:
+    """By what change of each loop's gain and phase several loops are lost; of one loop where |L| crosses 0 dB."""
+    lost = [f"{name} {x['gain_db']:+.2g} dB {x['phase_deg']:+.2g} deg" for name, x in margins.changes.items()]
+    return ", ".join(lost) if margins.loops else crossings_text(margins)
 
 
 def phase_budget_tables(verdict: Verdict, controller: Controller | GainScheduled) -> Iterator[Table]:
