@@ -137,6 +137,99 @@ def bode() -> Figure:
     return figure
 
 
+@styled()
+def intervals() -> Figure:
+    """Peaks of |S| of thirty measurements of one loop: at face value, and as the check reads them."""
+    exact = example()
+    truth_db, f = exact.margins().sensitivity_peak_db, np.arange(0.5, 60.0, 0.5)
+    plant = np.interp(f, exact.frequency_hz, exact.P[:, 0, 0])
+    rng, own = np.random.default_rng(1), exact.controller
+    figure = new_figure(1, 2, (FULL_WIDTH_IN, 2.9))
+    left, right = figure.axes
+    for k in range(30):
+        error = (
+            0.05
+            * (rng.standard_normal(f.size) + 1j * rng.standard_normal(f.size))
+            / np.sqrt(2.0)
+        )
+        P = ls.FRF.from_arrays(
+            f, plant * (1.0 + error), relative_std=0.05, rate_hz=2000.0, loop="axis"
+        )
+        naive = ls.Loop(P, own)
+        (m,) = ls.check(P, own).margins.values()
+        read = m["sensitivity_peak_db"]
+        low, high = read.ends
+        right.plot([k, k], [low, high], color=COLOURS[0], linewidth=1.2)
+        right.plot(
+            [k],
+            [read.value],
+            "o",
+            color=COLOURS[0],
+            markersize=3.0,
+            label="check, 95 % interval" if k == 0 else None,
+        )
+        highest = float(decibels(naive.S).max())
+        right.plot(
+            [k],
+            [highest],
+            "x",
+            color=LIMIT,
+            markersize=4.0,
+            label="largest line" if k == 0 else None,
+        )
+        if k == 0:
+            left.plot(
+                f,
+                decibels(naive.S),
+                ".",
+                color=LIMIT,
+                markersize=3.0,
+                label="lines of one measurement",
+            )
+    left.plot(
+        exact.frequency_hz, decibels(exact.S), color="black", linewidth=1.0, label="truth"
+    )
+    left.set(xlim=(10.0, 60.0), ylim=(-10.0, 12.0), xlabel="frequency [Hz]", ylabel="|S| [dB]")
+    right.axhline(truth_db, color="black", linewidth=1.0, label="truth")
+    right.set(
+        xlabel="measurement", ylabel="peak of |S| [dB]", ylim=(truth_db - 1.2, truth_db + 3.2)
+    )
+    left.legend(loc="lower right")
+    right.legend(loc="upper right")
+    return figure
+
+
+@styled()
+def detuning() -> Figure:
+    """The modulus margin over a shift of the plant's frequencies: a notch that cancels, and one that is wide."""
+    f_hz = np.geomspace(2.0, 400.0, 4000)
+    s, pole = 2j * np.pi * f_hz, 2.0 * np.pi * 40.0
+    P = 100.0 / (s * (s + 30.0)) * pole**2 / (s**2 + 0.01 * pole * s + pole**2)
+    shifts, figure = np.linspace(-6.0, 6.0, 121), Figure(figsize=(FULL_WIDTH_IN, 2.6))
+    ax, lead = figure.add_subplot(), ls.lead_lag(4.0, 40.0)
+    for k, (words, blocks) in enumerate({
+        "notch on the resonance, as sharp": [ls.gain(16.0), lead, ls.notch(40.0, 0.005, 0.3)],
+        "low-pass and less gain": [ls.gain(5.0), lead, ls.low_pass(18.0, damping=0.6)],
+    }.items()):  # fmt: skip
+        C, left = ls.controller(*blocks, rate_hz=4000.0, loop="axis"), []
+        for shift in shifts:
+            moved = ls.FRF.from_arrays(
+                f_hz * (1.0 + shift / 100.0), P, relative_std=0.0, rate_hz=4000.0, loop="axis"
+            )
+            m = ls.Loop(moved, C, integrators=1, unstable_poles=0).margins()
+            left.append(m.modulus_margin if m.stable == "stable" else 0.0)
+        ax.plot(shifts, left, color=COLOURS[k], label=words)
+    ax.axhline(0.5, color=LIMIT, linewidth=1.1, label="required")
+    ax.set(
+        xlim=(-6.0, 6.0),
+        ylim=(0.0, 1.2),
+        xlabel="shift of the plant's frequencies [%]",
+        ylabel="modulus margin",
+    )
+    ax.legend(loc="upper right")
+    return figure
+
+
 def decibels(values: np.ndarray) -> np.ndarray:
     return np.asarray(20.0 * np.log10(np.abs(values)))
 
@@ -160,4 +253,6 @@ def pictures() -> dict[str, Figure]:
         "definitions/loop": loop(),
         "definitions/nyquist": nyquist(),
         "definitions/bode": bode(),
+        "definitions/intervals": intervals(),
+        "definitions/detuning": detuning(),
     }

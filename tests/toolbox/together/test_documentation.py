@@ -244,7 +244,7 @@ def test_every_page_fits_a_phone_and_the_search_finds_from_a_file(site: Path) ->
         assert wide == {}
         page.goto((site / "search.html").as_uri() + "?q=detuning")
         page.wait_for_selector("#search-results ul.search li a")
-        assert "check.html" in " ".join(a.get_attribute("href") for a in page.locator("ul.search li a").all())
+        assert "detuning.html" in " ".join(a.get_attribute("href") for a in page.locator("ul.search li a").all())
         page.goto((site / "first_loop.html").as_uri())
         assert page.locator("button.copy").count() == page.locator("div.highlight").count() > 5
 

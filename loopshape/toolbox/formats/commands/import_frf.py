@@ -41,7 +41,7 @@ def import_frf(
 ) -> None:
     """Import an FRF from a file, with its error.
 
-    The error is the file's or a stated one; the files' keys are in docs/files.md.
+    The error is the file's or a stated one; the files' keys are in docs/frf_files.md.
     """
     from loopshape.core.errors import WrongUseError
     from loopshape.toolbox.formats.frf.frf_exchange import add_frfs, read_frf_file

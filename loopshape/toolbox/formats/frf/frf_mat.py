@@ -51,7 +51,7 @@ def _cell(texts: list[str]) -> np.ndarray:
 
 
 def read_frf_mat(path: Path) -> ForeignFRF:
-    """A MAT file (5 to 7.3) with `response` and `frequency_hz`, `frequency` or `omega_rad_s`; see docs/files.md.
+    """A MAT file (5 to 7.3) with `response` and `frequency_hz`, `frequency` or `omega_rad_s`; see docs/frf_files.md.
 
     Other words for frequencies (hz, f, freq, w, omega), and a response that is the only complex variable, are taken
     with a note. A response goes over outputs, inputs and lines, or is a vector for one of each. Of v7.3 only numbers

@@ -69,7 +69,7 @@ def test_the_largest_peak_over_the_recordings_is_the_amplitude(n):
         peaks = [np.abs(one[loop].signal(RATE_HZ)).max() for one in sets]
         assert max(peaks) == pytest.approx(m.amplitude, rel=1e-12)
         rms = np.sqrt(np.mean(sets[1][loop].signal(RATE_HZ)[RAMP : RAMP + PERIOD] ** 2))
-        assert m.amplitude / rms < 2.4  # docs/files.md: about 2.1; turned after a search for one peak alone up to 2.8
+        assert m.amplitude / rms < 2.4  # docs/studies.md: about 2.1; turned after a search for one peak alone up to 2.8
 
 
 def test_each_loop_keeps_its_own_phases():
