@@ -81,7 +81,7 @@ def watched(asked):
 @pytest.mark.long
 @pytest.mark.parametrize(("frames_come", "late_ms"), [(False, 0.03), (True, 0.4)])
 def test_a_tick_begins_no_later_than_the_page_says(frames_come, late_ms):
-    """Armed, at 5 kHz, two loops of 8 sections: while samples are sent, and while full frames of the host are handled."""
+    """Armed, at 5 kHz, two loops of 8 sections: while samples are sent, and while full frames come from the host."""
     late = []
     while len(late) < TRIES and (not late or late[-1] > late_ms):
         late.append(latest_ms(frames_come))
