@@ -35,6 +35,7 @@ from loopshape.loop.margin.margins import margins
 from loopshape.loop.matrix.matrix_margins import matrix_margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import point_outcome
+from loopshape.loop.stability.stability import LOWER
 
 #: a crossing is warned of where the error is reduced by less than this at so many lines and more up to a quarter of it
 LEAST_REDUCTION_DB, LEAST_LOW_LINES = 9.0, 2
@@ -335,6 +336,14 @@ def _worst_line(limit: Limit, required: Mapping[str, float], found: Mapping[str,
     return min(lines, key=lambda line: (-line.outcome.severity, line.slack))
 
 
+def _measured_to_hz(limit: Limit, required: float, margin: Margins) -> float | None:
+    """Up to where to measure what a bound leaves open, or below its frequency down to where."""
+    read = margin[limit.name]
+    if read.at_hz is not None and read.at_hz >= margin.last_hz * (1.0 - 1e-9):
+        return decided_at_hz(limit.name, required, margin)
+    return LOWER * (read.at_hz or read.bound or 0.0)
+
+
 def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> RequirementResult:
     """The line of one operating point."""
     read = margin[limit.name]
@@ -353,6 +362,6 @@ def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> 
         interval=read.interval,
         longer=longer(read.value, bad, good, required, sign) if outcome is Outcome.UNDECIDED and not bounded else None,
         bound=read.bound,
-        measure_to_hz=decided_at_hz(limit.name, required, margin) if outcome is Outcome.UNDECIDED and bounded else None,
+        measure_to_hz=_measured_to_hz(limit, required, margin) if outcome is Outcome.UNDECIDED and bounded else None,
         beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
     )

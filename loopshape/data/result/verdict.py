@@ -70,7 +70,8 @@ class RequirementResult(Plain):
     `outcome` is "passed" where the whole interval holds, "failed" where none of it does, "undecided" between;
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
     A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
-    to which frequency to measure, as |L| falls on over the highest lines (None: not known).
+    to which frequency to measure, as |L| falls on over the highest lines (None: not known), or below `at_hz` down to
+    which.
     `beyond` tells that `value` is a bound, the largest that was searched.
     """
 

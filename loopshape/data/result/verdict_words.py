@@ -13,7 +13,7 @@ from loopshape.data.result.detuning import STABILITY, Lost
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.requirement.requirements import Limit
-    from loopshape.data.result.margins import Margins
+    from loopshape.data.result.margins import Margins, Reading
     from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 
 #: width of what is printed first
@@ -28,7 +28,7 @@ class Notation(NamedTuple):
     nothing: str = "-"
     between: str = " .. "
     senses: tuple[str, str] = ("at least", "at most")
-    bounds: tuple[str, str] = ("", "")
+    bounds: tuple[str, str] = (">= ", "<= ")
     units: Mapping[str, tuple[str, float]] = {}
 
     def unit(self, unit: str) -> tuple[str, float]:
@@ -40,14 +40,18 @@ class Notation(NamedTuple):
         return self.nothing if ends is None else self.between.join(self.figures(factor * end) for end in ends)
 
     def reading(self, margins: Margins, limit: Limit) -> tuple[str, str]:
-        """A reading of margins and its interval, "" where there is none."""
+        """A reading of margins and its interval, "" where there is none; of a bound on to the best that may be."""
         read, (_, factor) = margins[limit.name], self.unit(limit.unit)
-        sign = "> " * (
-            limit.name == "detuning_percent" and margins.detuning is not None and margins.detuning.worst.beyond
-        )
+        beyond = limit.name == "detuning_percent" and margins.detuning is not None and margins.detuning.worst.beyond
+        sign = "> " if beyond else self.sign(read.value, read.bound)
         known = read.value == read.value and read.value != -inf
-        ends = "" if read.interval is None or read.interval == (-inf, inf) else self.interval(read.interval, factor)
+        told = (read.interval is not None or read.bound is not None) and read.span != (-inf, inf)
+        ends = self.interval(read.span, factor) if told else ""
         return f"{sign}{self.figures(factor * read.value)}" if known else self.nothing, ends
+
+    def sign(self, value: float, bound: float | None) -> str:
+        """What stands before a value that is the worst that may be, with the best as its `bound`."""
+        return "" if bound is None else self.bounds[bound < value]
 
 
 def number(value: float) -> str:
@@ -62,7 +66,11 @@ PRINTED = Notation(number)
 def known_limits(verdict: Verdict, among: Sequence[Limit]) -> list[Limit]:
     """The limits of which a verdict has something to show: a number at some operating point, or a requirement."""
     asked = {line.quantity for line in verdict.lines}
-    return [x for x in among if x.name in asked or any(isfinite(m[x.name].value) for m in verdict.margins.values())]
+    return [x for x in among if x.name in asked or any(_known(m[x.name]) for m in verdict.margins.values())]
+
+
+def _known(read: Reading) -> bool:
+    return isfinite(read.value) or read.bound is not None
 
 
 def crossings_text(margins: Margins) -> str:
@@ -118,7 +126,7 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
 
     limit, bound = LIMIT_OF.get(line.quantity), line.bound
     ends = notation._replace(figures=lambda value: figures(value / factor)).interval(line.span, factor)
-    sign = "> " if line.beyond else "" if bound is None else notation.bounds[bound < line.value]
+    sign = "> " if line.beyond else notation.sign(line.value, bound)
     return Row(
         line.quantity,
         unit,
@@ -137,8 +145,12 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
 def _decides(line: RequirementResult) -> str:
     """How much more measuring would decide an undecided line, or up to which frequency."""
     if line.outcome is Outcome.UNDECIDED and line.bound is not None:
-        to_hz = "higher" if line.measure_to_hz is None else f"up to {line.measure_to_hz:.3g} Hz"
-        return f"bounded by what lies above the last frequency; measure {to_hz}"
+        to_hz = line.measure_to_hz
+        if to_hz is not None and to_hz < (line.at_hz or line.bound):
+            return f"bounded by what lies below the first frequency; measure down to {to_hz:.3g} Hz"
+        return (
+            f"bounded by what lies above the last frequency; measure {f'up to {to_hz:.3g} Hz' if to_hz else 'higher'}"
+        )
     if line.longer is None:
         return ""
     return f"{line.longer:.2g} times the data would decide" if line.longer < 100.0 else "on the limit"
@@ -146,7 +158,7 @@ def _decides(line: RequirementResult) -> str:
 
 def line_text(line: RequirementResult) -> str:
     """A line in one sentence: required, found with its interval and where, slack, and what would decide it."""
-    row, unit = row_of(line), _unit(line.unit)
+    row, unit = row_of(line, PRINTED._replace(bounds=("", ""))), _unit(line.unit)
     bound = "" if line.bound is None else "at least " if line.bound > line.value else "at most "
     found = f"{'more than ' if line.beyond else ''}{bound}{row.worst.removeprefix('> ')}{unit}"
     interval = "" if line.span is None else f" (95 %: {PRINTED.interval(line.span)}{unit})"

@@ -168,14 +168,14 @@ def margins(
     ends = _values(low), _values(high)
     pairs = {} if j.deviations is None else {n: (ends[0][n], ends[1][n]) for n in ends[0] if n in ends[1]}
     intervals = {n: (min(pair), max(pair)) for n, pair in pairs.items()}
-    values = _values(value)
+    values, places = _values(value), _places(at[0], float(j.f[0]))
     if not in_sight(loop):
-        _not_measured(values, bounds, intervals, float(j.f[0]))
+        _not_measured(values, bounds, intervals, places, float(j.f[0]))
     made = Margins.of(
         values,
         stability.outcome,
         intervals=intervals,
-        at_hz=_places(at[0], float(j.f[0])),
+        at_hz=places,
         bounds=bounds,
         crossings_hz=crossings,
         phase_crossings_hz=phase_crossings,
@@ -197,16 +197,28 @@ def controller_bandwidth(loop: Loop) -> Reading:
 
 
 def _not_measured(
-    values: dict[str, float], bounds: dict[str, float], intervals: dict[str, Interval], first_hz: float
+    values: dict[str, float],
+    bounds: dict[str, float],
+    intervals: dict[str, Interval],
+    places: dict[str, float],
+    first_hz: float,
 ) -> None:
-    """Leave out what belongs to a crossover below the first line: nan, and a bandwidth from 0 up to that line."""
+    """Leave out what belongs to a crossover below the first line: nan, bandwidths from 0 up to that line, no peaks.
+
+    |S| has no end there, so |CS| and |PS| have none; the best that they may be is what the lines show.
+    """
     for limit in LIMITS:
         if limit.crossing:
             values[limit.name] = float("nan")
             bounds.pop(limit.name, None)
             intervals.pop(limit.name, None)
-    if values["bandwidth_hz"] == 0.0:
-        bounds["bandwidth_hz"] = first_hz
+    for name in ("bandwidth_hz", "sensitivity_bandwidth_hz", "complementary_bandwidth_hz"):
+        if values[name] == 0.0:
+            bounds[name] = first_hz
+    for name in ("control_peak_db", "process_peak_db"):
+        bounds[name] = bounds.get(name, values[name])
+        values[name], places[name] = np.inf, first_hz
+        intervals |= {name: (np.inf, np.inf)} if name in intervals else {}
 
 
 def _judged(loop: Loop) -> _Judged:

@@ -110,6 +110,19 @@ def test_the_bench_and_its_controller(context: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+def test_a_crossover_below_the_first_line(context: Any, tmp_path: Path) -> None:
+    f = np.arange(12.0, 60.0, 0.5)
+    P = ls.FRF.from_arrays(f, 60.0 / (2j * np.pi * f), relative_std=0.01, rate_hz=shaped_cases.RATE_HZ, loop="x")
+    R = ls.Requirements(
+        "x", sensitivity_bandwidth_hz=5.0, complementary_bandwidth_hz=10.0, control_peak_db=20.0, process_peak_db=20.0,
+        integrators=1, unstable_poles=0,
+    )  # fmt: skip
+    assert not compared(
+        context, tmp_path, [P], ls.controller(ls.gain(1.0), rate_hz=shaped_cases.RATE_HZ, loop="x"), R, 2
+    )
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden"])
 def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path) -> None:
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)

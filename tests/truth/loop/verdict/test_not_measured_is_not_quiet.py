@@ -134,6 +134,38 @@ def test_peaks_and_reduction_below_the_first_line_are_read_by_models_of_the_lowe
         assert line.value == pytest.approx(truth[line.quantity], abs=0.05)
 
 
+@pytest.mark.parametrize("low_hz", [12.0, 15.0, 30.0])
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_a_crossover_below_the_first_line_fails_no_bandwidth_and_passes_no_peak(low_hz, factor):
+    """Bandwidths and peaks of a grid down to 0.01 Hz; all three bandwidths lie below the lines."""
+
+    def plant(f):
+        s = 1j * TWO_PI * f
+        return 60.0 / (s * (s / (TWO_PI * 60.0) + 1.0))
+
+    g = np.geomspace(0.01, 60.0, 200_000)
+    S = 1.0 / (1.0 + plant(g))
+    truth = {
+        "bandwidth_hz": g[np.argmax(np.abs(plant(g)) < 1.0)],
+        "sensitivity_bandwidth_hz": g[np.argmax(np.abs(S) > 10.0**-0.15)],
+        "complementary_bandwidth_hz": g[np.flatnonzero(np.abs(1.0 - S) > 10.0**-0.15)[-1]],
+    }
+    assert all(8.0 < value < 12.0 for value in truth.values())
+    f = np.arange(low_hz, 60.0, 0.5)
+    P = ls.FRF.from_arrays(f, plant(f), relative_std=0.01, rate_hz=5000.0, open_loop=True)
+    peaks = {"control_peak_db": 40.0, "process_peak_db": 40.0}
+    asked = {name: factor * value for name, value in truth.items()} | peaks
+    verdict = under_gain(P, rate_hz=5000.0, integrators=1, unstable_poles=0, **asked)
+    for line in verdict.lines:
+        above = line.quantity in truth and line.required > low_hz  # where the lines show that it is not reached
+        assert line.outcome == ("failed" if above else "undecided")
+        if above:
+            continue
+        assert line.measure_to_hz == pytest.approx(0.1 * low_hz)
+        low, high = line.span
+        assert low <= truth.get(line.quantity, np.inf) <= high
+
+
 AC_COUPLED = ls.Requirements(phase_margin_deg=45, sensitivity_peak_db=6, integrators=-1, unstable_poles=0)
 
 

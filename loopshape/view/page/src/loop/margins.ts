@@ -79,7 +79,7 @@ export function margins(loop: Loop, reader: Reader): Margins {
   };
 }
 
-/** Leave out what belongs to a crossover below the first line: nothing, and a bandwidth from 0 up to that line. */
+/** Leave out what belongs to a crossover below the first line: nothing, bandwidths from 0 up to that line, no peaks. */
 function notMeasured(
   values: Record<string, number>, ends: Record<string, number>, intervals: Record<string, Interval>, first_hz: number, { limits }: Reader,
 ): void {
@@ -88,7 +88,14 @@ function notMeasured(
     delete ends[name];
     delete intervals[name];
   }
-  if (values.bandwidth_hz === 0) ends.bandwidth_hz = first_hz;
+  for (const name of ["bandwidth_hz", "sensitivity_bandwidth_hz", "complementary_bandwidth_hz"] as const) {
+    if (values[name] === 0) ends[name] = first_hz;
+  }
+  for (const name of ["control_peak_db", "process_peak_db"]) {
+    ends[name] ??= values[name];
+    values[name] = Infinity;
+    if (intervals[name]) intervals[name] = [Infinity, Infinity];
+  }
 }
 
 const grids = new WeakMap<Judged, kernel.Grid>();
