@@ -13,7 +13,8 @@ from loopshape.data.signal.excitation import Excitation, Profile, Sampled, Stair
 from loopshape.data.signal.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.data.signal.experiment import ExperimentSettings, LoopSetup
 from loopshape.toolbox.diagrams.wired import Wired
-from loopshape.toolbox.rig.settings import TargetSettings
+from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.toolbox.rig.steps.escalation import Escalation
 
 FORMAT = "loopshape-study/1"
 Setpoint = Staircase | Profile
@@ -112,7 +113,8 @@ class Study:
     plant, both by loop. `changes` moves parameters of the plant, as settings that whoever reads the recordings knows;
     `effects` are magnitudes by name (or NAME:FORM) of what its nominal model leaves out. `pwm` may hold frequency_hz
     and dead_zone; `solver` is the plant's word for how it integrates. `target` is for a rig behind a real-time target,
-    and `loops` where no plant describes them (`plant` is empty then).
+    and `loops` where no plant describes them (`plant` is empty then). `limits` end a simulation's recording where they
+    are passed; a target has its own. `escalation` says how `measure --escalate` raises the amplitude.
     """
 
     rig: str
@@ -130,6 +132,8 @@ class Study:
     decoupling: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
     target: TargetSettings | None = None
+    limits: Mapping[str, Limit] = field(default_factory=dict)
+    escalation: Escalation | None = None
     loops: tuple[LoopSetup, ...] = ()
     diagram: Wired | None = None
 

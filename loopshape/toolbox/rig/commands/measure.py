@@ -14,6 +14,7 @@ from loopshape.cli.output import AsJson, Output, Quiet, complain, point
 if TYPE_CHECKING:
     from loopshape.data.signal.experiment import LoopSetup
     from loopshape.data.signal.run import Run
+    from loopshape.toolbox.rig.steps.enough import Until
     from loopshape.verbs.watch import Motion
 
 WORD = "ARM"
@@ -41,6 +42,12 @@ def measure(
     allow_unverified: Annotated[
         bool, typer.Option("--allow-unverified", help="Measure although a verdict is not passed; the journal keeps it.")
     ] = False,
+    escalate: Annotated[
+        float | None, typer.Option(help="Amplitude step by step, from so many percent of the study's.")
+    ] = None,
+    until: Annotated[
+        str | None, typer.Option(help="End when it is enough: S=PERCENT, P=PERCENT, or a requirements file.")
+    ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
@@ -58,7 +65,7 @@ def measure(
     try:
         made = record(
             study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again, verdict=verdict,
-            allow_unverified=allow_unverified,
+            allow_unverified=allow_unverified, escalate=escalate, until=until,
         )  # fmt: skip
     except StoppedAtLimitError as stopped:
         complain(stopped)
@@ -110,6 +117,8 @@ def record(
     again: bool = False,
     verdict: Path | None = None,
     allow_unverified: bool = False,
+    escalate: float | None = None,
+    until: str | None = None,
 ) -> Run:
     """`verbs.machine.measure` with a terminal: what a target would do is shown first."""
     from loopshape.io.write.controllers import read_loop_controllers
@@ -119,8 +128,23 @@ def record(
     return measure_study(
         study, out, controllers=found, effects=effects, port=port, again=again, states=states,
         verdict=verdict, allow_unverified=allow_unverified,
+        escalate=False if escalate is None else escalate, until=until_of(until),
         confirm=lambda motion: _confirmed(motion, arm, show, output), watch=output,
     )  # fmt: skip
+
+
+def until_of(word: str | None) -> Until | None:
+    """What `--until` says: S=PERCENT or P=PERCENT (a number alone is S), anything else a file of requirements."""
+    from loopshape.io.requirements import read_requirements
+    from loopshape.toolbox.rig.steps.enough import Of, Until
+
+    if word is None:
+        return None
+    of, _, number = word.rpartition("=")
+    try:
+        return Until(std=0.01 * float(number), of=Of(of or "S"))
+    except ValueError:
+        return Until(requirements=read_requirements(Path(word)))
 
 
 def _confirmed(motion: Motion, armed: bool, show: bool, output: Output) -> bool:

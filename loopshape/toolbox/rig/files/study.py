@@ -55,12 +55,12 @@ from loopshape.io.run.run_tables import SCHEDULE_KEYS, Schedule, read_loops
 from loopshape.io.schema import read
 from loopshape.toolbox.learning.files import read_feedforward
 from loopshape.toolbox.rig.files.signals import read_excitation, read_excitations, read_setpoints
-from loopshape.toolbox.rig.files.target import read_target
+from loopshape.toolbox.rig.files.target import read_escalation, read_limits, read_target
 from loopshape.toolbox.rig.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded
 
 _KEYS = (
     "format", "rig", "plant", "rate_hz", "seed", "solver", "operating_points", "parameters", "effects", "pwm",
-    "loop", "experiment", "target", "limits",
+    "loop", "experiment", "target", "limits", "escalate",
 )  # fmt: skip
 _EXPERIMENT_KEYS = (
     "name", "kind", "excites", "injection", "role", "lead_s", "tail_s", "duration_s", "operating_points",
@@ -108,6 +108,8 @@ def read_study(path: Path) -> Study:
             "files": dict(p for _, u in read for p in u.get("files", {}).items()),
         },
         target=target,
+        limits={} if target else read_limits(words),
+        escalation=read_escalation(words),
         loops=read_loops(words, rate_hz) if described else (),
     )
 

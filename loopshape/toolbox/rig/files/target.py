@@ -20,6 +20,7 @@ u_a = { low_v = -4.0, high_v = 4.0 }
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from loopshape.core.errors import WrongUseError
@@ -27,19 +28,40 @@ from loopshape.core.units import to_stored
 from loopshape.io.config_table import ConfigTable
 from loopshape.io.schema import read
 from loopshape.toolbox.rig.files.signals import KEY_UNITS
-from loopshape.toolbox.rig.settings import TargetSettings
+from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.toolbox.rig.steps.escalation import Escalation
 
 
 def read_target(words: ConfigTable) -> TargetSettings | None:
     """The settings, or None for a rig that is no target. Refuses unknown keys, units, and a target without limits."""
     if words.text("rig") != "target":
-        if given := [key for key in ("target", "limits") if key in words.table]:
-            raise WrongUseError(f'{words.where}: only rig = "target" has {" and ".join(given)}', words.text("rig"))
+        if "target" in words.table:
+            raise WrongUseError(f'{words.where}: only rig = "target" has target', words.text("rig"))
         return None
     words.need("target", "limits")
-    inner, limits = words.inner("target"), words.inner("limits")
-    read_limits = [_limit(name, limits.inner(name)) for name in limits.table]
-    return read(TargetSettings, inner.table, inner.where, limits={one["column"]: one for one in read_limits})
+    inner = words.inner("target")
+    limits = _limits(words, "limits")
+    return read(TargetSettings, inner.table, inner.where, limits={one["column"]: one for one in limits})
+
+
+def read_limits(words: ConfigTable) -> dict[str, Limit]:
+    """The limits of a study by column; empty without."""
+    return {one["column"]: Limit(**one) for one in _limits(words, "limits")}
+
+
+def read_escalation(words: ConfigTable) -> Escalation | None:
+    """The table `[escalate]` of a study, None without; its windows `travel` are written as limits are."""
+    if "escalate" not in words.table:
+        return None
+    inner = words.inner("escalate")
+    own = {key: value for key, value in inner.table.items() if key != "travel"}
+    travel = {one["column"]: Limit(**one) for one in _limits(inner, "travel")}
+    return replace(read(Escalation, own, inner.where), travel=travel)
+
+
+def _limits(words: ConfigTable, key: str) -> list[dict[str, Any]]:
+    inner = words.inner(key)
+    return [_limit(name, inner.inner(name)) for name in inner.table]
 
 
 def _limit(name: str, words: ConfigTable) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from loopshape.core.errors import RigError
 from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array
 from loopshape.data.signal.experiment import Experiment
+from loopshape.toolbox.rig.steps.supervisor import Supervisor
 from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.armed import Armed, beat_s, reason_words, vented
 from loopshape.toolbox.rig.target.frames import Frame
@@ -34,7 +35,10 @@ Arrived = Callable[[Mapping[str, Array]], None]
 class Acquisition:
     """One recording while it runs."""
 
-    def __init__(self, armed: Armed, e: Experiment, number: int, arrived: Arrived) -> None:
+    def __init__(
+        self, armed: Armed, e: Experiment, number: int, arrived: Arrived, supervisor: Supervisor | None = None
+    ) -> None:
+        self._supervisor, self._asked_to_end = supervisor, False
         self._armed, self._e, self._session = armed, e, armed.session
         self._samples = SampleTable(number, e.samples, self._session.identity.width(len(armed.loops)))
         self._ended: Ended | None = None
@@ -75,6 +79,8 @@ class Acquisition:
         limits = self._armed.configuration.limits
         grain = 2.0 ** (-52 if self._session.identity.number == "<f8" else -23)
         self._alarm = self._alarm or self._samples.passed(new, places, limits, self._e.rate_hz, grain)
+        if self._supervisor is not None and new:
+            self._supervisor.first_trip(self._named(self._samples.table[self._samples.received - new :]))
 
     def run(self, place: bool) -> Ended:
         """Upload, go, take in until the end is told and all of it is here."""
@@ -87,6 +93,7 @@ class Acquisition:
                 self._session.listen(LISTEN_S if self._samples.lacking == 0 else LISTEN_S / 4)
                 if self._alarm is not None and self._ended is None:
                     self._stop_the_blind()
+                self._supervised()
                 self._fill()
                 self._keep_alive()
                 self._refuse_standstill()
@@ -95,6 +102,17 @@ class Acquisition:
         finally:
             self._hand_on()
         return self._checked()
+
+    def _supervised(self) -> None:
+        """Look whether it is enough, and end what the supervisor ends, once."""
+        one = self._supervisor
+        if one is None or self._ended is not None:
+            return
+        one.look_beside(lambda n: {name: np.array(x) for name, x in self.columns(n).items()}, self._samples.received)
+        if one.trip is not None and not self._asked_to_end:
+            self._asked_to_end = self._closed = True
+            with suppress(RefusedError):  # it ended by itself meanwhile
+                self._session.ask(Request.VENT if one.trip.vents else Request.STOP)
 
     def _hand_on(self) -> None:
         """What came since the last time goes to whoever keeps it."""

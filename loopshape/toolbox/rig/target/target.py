@@ -19,6 +19,7 @@ from loopshape.data.signal.experiment import Experiment, LoopSetup, decoupling_m
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.diagrams.wired import Wired
 from loopshape.toolbox.rig.settings import TargetSettings
+from loopshape.toolbox.rig.steps.supervisor import Supervisor
 from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.acquisition import KEPT_REASONS, Acquisition, Arrived
 from loopshape.toolbox.rig.target.armed import Armed as Armed
@@ -150,11 +151,15 @@ def _no_keeper(info: RecordingInfo, rate_hz: float, columns: Sequence[str]) -> A
 
 
 def drive(
-    armed: Armed, experiments: Iterable[Experiment], keeper: Keeper = _no_keeper
+    armed: Armed,
+    experiments: Iterable[Experiment],
+    keeper: Keeper = _no_keeper,
+    supervise: Callable[[Experiment], Supervisor | None] = lambda e: None,
 ) -> Generator[Recording, None, None]:
     """Record experiment after experiment; whatever ends this loop early vents the machine first.
 
-    `keeper` is told of each recording as it begins, and is given its columns as they arrive.
+    `keeper` is told of each recording as it begins, and is given its columns as they arrive. What `supervise` gives
+    for an experiment may end it: its excitation stops and the loops stay closed, or the machine vents.
 
     A recording that a limit ended is given with what there is and says so; after it nothing more is done on a real
     machine. An emulated one is armed anew.
@@ -166,10 +171,10 @@ def drive(
                 experiment = next(coming, None)
             if experiment is None:
                 break
-            recording, ended = _record(armed, experiment, number, keeper)
+            recording, ended = _record(armed, experiment, number, keeper, supervise(experiment))
             with armed.session.kept_alive(beat):
                 yield recording
-            if ended.reason is not Reason.COMPLETE and not _again(armed):
+            if ended.reason not in (Reason.COMPLETE, Reason.STOPPED) and not _again(armed):
                 if armed.configuration.hold:
                     vented(armed.session)  # loops stay closed only while a host is there
                 return
@@ -186,22 +191,26 @@ def _again(armed: Armed) -> bool:
     return True
 
 
-def _record(armed: Armed, e: Experiment, number: int, keeper: Keeper) -> tuple[Recording, Ended]:
+def _record(
+    armed: Armed, e: Experiment, number: int, keeper: Keeper, supervisor: Supervisor | None
+) -> tuple[Recording, Ended]:
     place = armed.settings.place and armed.session.identity.emulated
     _extremes(armed, e, place)
     arrived: list[Arrived] = []
-    acquisition = Acquisition(armed, e, number, lambda rows: arrived[0](rows))
+    acquisition = Acquisition(armed, e, number, lambda rows: arrived[0](rows), supervisor)
     with keeper(RecordingInfo.of(e), e.rate_hz, acquisition.names) as append:
         arrived.append(append)
         try:
             ended = acquisition.run(place)
         finally:
             armed.session.unasked = lambda frame: None
-    if ended.reason not in KEPT_REASONS or ended.ticks == 0:
+    stopped = supervisor is not None and supervisor.trip is not None
+    if (ended.reason not in KEPT_REASONS and not stopped) or ended.ticks == 0:
         raise RigError(
             f"{e.name!r} is not kept: the target ended it", str(_why(armed, ended)), "the same command goes on with it"
         )
-    return Recording(RecordingInfo.of(e, _why(armed, ended)), e.rate_hz, acquisition.columns(ended.ticks)), ended
+    why = supervisor.why if stopped and supervisor and ended.reason not in KEPT_REASONS else _why(armed, ended)
+    return Recording(RecordingInfo.of(e, why), e.rate_hz, acquisition.columns(ended.ticks)), ended
 
 
 def _extremes(armed: Armed, e: Experiment, place: bool) -> None:

@@ -12,6 +12,7 @@ from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.interrupts import interrupts
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.signal.run import Run
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
@@ -22,6 +23,9 @@ from loopshape.toolbox.rig.effects import asked
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import Rig, header, plan
 from loopshape.toolbox.rig.simulated import measure as recordings
+from loopshape.toolbox.rig.steps.course import Course
+from loopshape.toolbox.rig.steps.enough import Until
+from loopshape.toolbox.rig.steps.escalation import Escalation
 from loopshape.toolbox.rig.study import Study, merged_effects
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Identity
@@ -45,6 +49,8 @@ def measure(
     states: bool = False,
     verdict: str | Path | None = None,
     allow_unverified: bool = False,
+    escalate: float | bool = False,
+    until: Until | float | Sequence[Requirements] | None = None,
     confirm: Confirm | None = None,
     watch: Watch | None = None,
 ) -> Run:
@@ -64,11 +70,17 @@ def measure(
     loops, or a diagram is unstable by itself, nothing moves unless `allow_unverified`. What is not verified, and that
     it was allowed, stands in the notes of the motion and in the run's journal.
 
+    With `escalate` the amplitude rises step by step from so many percent of the study's (True: as its `[escalate]`
+    says), each step judged before the next, and the recording is made at the largest that keeps away from the
+    `[limits]`, or is accurate enough; the journal keeps every step. `until` ends a recording by itself: a relative std
+    of S in every octave, or requirements (`ls.read_requirements`) on which the verdict is then decided.
+
     Raises WrongUseError for a study that the rig cannot do and for a target that was not armed, RigError for a lost
     line, `StoppedAtLimitError` where a real machine passed a limit. Ctrl-C raises KeyboardInterrupt with what is kept.
     """
     file, folder, watcher = Path(study), Path(out), watch or Unwatched()
     wanted, plant = _asked(file, controllers, effects)
+    course = Course(wanted, plant, folder, watcher, _escalation(wanted, escalate), _until(until))
     if decoupling is not None:
         wanted = replace(wanted, decoupling=decoupling)
     wanted = _with_diagram(wanted, diagram)
@@ -83,7 +95,7 @@ def measure(
         may = confirm or (lambda motion: arm)
         record_on_target(
             wanted, plant, folder, watcher, port=port, confirm=may, again=again, extra=extra,
-            verdict=None if verdict is None else Path(verdict), allow_unverified=allow_unverified,
+            verdict=None if verdict is None else Path(verdict), allow_unverified=allow_unverified, course=course,
         )  # fmt: skip
         return read_run(folder)
     todo = plan(wanted, plant)
@@ -91,6 +103,12 @@ def measure(
     start_run(folder, header(wanted, plant, extra))
     with alone(folder), interrupts(), watcher.progress("measure", len(todo) - len(done)) as step:
         try:
+            if not course.plain:
+                for e in course.coming([planned for planned in todo if planned.name not in done]):
+                    add_recording(folder, made := course.simulated(e, states), again=again or course.in_step)
+                    course.taken(made)
+                    step(made.info.name)
+                return read_run(folder)
             for recording in recordings(wanted, plant, done=done, states=states):
                 add_recording(folder, recording, again=again)
                 step(recording.info.name)
@@ -98,6 +116,19 @@ def measure(
             kept = f"interrupted; what {folder / 'run.toml'} lists is kept, the same command goes on"
             raise KeyboardInterrupt(kept) from None
         return read_run(folder)
+
+
+def _escalation(study: Study, asked: float | bool) -> Escalation | None:
+    if asked is False:
+        return None
+    own = study.escalation or Escalation()
+    return own if asked is True else replace(own, start_percent=float(asked))
+
+
+def _until(asked: Until | float | Sequence[Requirements] | None) -> Until | None:
+    if asked is None or isinstance(asked, Until):
+        return asked
+    return Until(std=float(asked)) if isinstance(asked, int | float) else Until(requirements=tuple(asked))
 
 
 @dataclass(frozen=True)

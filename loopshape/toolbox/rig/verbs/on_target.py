@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.interrupts import interrupts, unhurried
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
@@ -26,6 +26,7 @@ from loopshape.io.write.verdicts import read_verdicts
 from loopshape.toolbox.rig.files.measuring import marked
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
+from loopshape.toolbox.rig.steps.course import Course, StoppedAtLimitError
 from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.rig.target.acquisition import RATE_TICKS, Arrived
 from loopshape.toolbox.rig.target.blocks import own_radius
@@ -38,13 +39,9 @@ from loopshape.verbs.watch import Confirm, Motion, Watch
 CIRCLE = 1.0 + 1e-6  # |z|: integrators, several at a place, lie on the unit circle within rounding
 
 
-class StoppedAtLimitError(RigError):
-    """A real machine passed a limit: what was recorded is kept, and a person looks before anything moves again."""
-
-
 def record_on_target(
     study: Study, plant: Rig, out: Path, watch: Watch, *, port: str | None, confirm: Confirm, again: bool,
-    extra: dict[str, object], verdict: Path | None = None, allow_unverified: bool = False,
+    extra: dict[str, object], course: Course, verdict: Path | None = None, allow_unverified: bool = False,
 ) -> None:  # fmt: skip
     """Record what is missing of a study from a target. Moves nothing that was not confirmed."""
     settings = study.target
@@ -72,7 +69,7 @@ def record_on_target(
             keep_arrived(out)  # of a measurement that was killed
             note(out, "armed", target=session.identity.board, notes=motion.notes, allow_unverified=allow_unverified)
             try:
-                _drive(session, wanted, todo, study, plant, out, watch)
+                _drive(session, wanted, todo, study, course, out, watch)
             except LoopshapeError as error:
                 note(out, "fault", message=str(error))
                 raise
@@ -189,7 +186,7 @@ def _at_limit(out: Path, name: str) -> str | None:
 
 
 def _drive(
-    session: Session, wanted: Configuration, todo: Sequence[Planned], study: Study, plant: Rig, out: Path,
+    session: Session, wanted: Configuration, todo: Sequence[Planned], study: Study, course: Course, out: Path,
     watch: Watch,
 ) -> None:  # fmt: skip
     """Arm, and record what is to be done; whatever ends this early vents before the link is closed."""
@@ -198,15 +195,16 @@ def _drive(
         return open_stream_log(out, info.name, recording_table(info), rate_hz, names)
 
     assert study.target is not None
-    coming = (experiment(study, plant, one) for one in todo)
     import_module("pyarrow.parquet")  # now: it takes longer than a watchdog waits
     with watch.progress("measure", len(todo)) as step:
         armed = arm(session, study.target, todo[0].loops, wanted)
-        with vented_on_error(session), closing(drive(armed, coming, keeper)) as made:
+        with vented_on_error(session), closing(drive(armed, course.coming(todo), keeper, course.supervisor)) as made:
             for recording in made:
                 add_recording(out, recording, again=True)
                 adopted(out, recording.info.name)
-                step(recording.info.name)
+                course.taken(recording)
+                if not course.in_step:
+                    step(recording.info.name)
 
 
 def _refuse_what_only_models_do(study: Study) -> None:

@@ -92,7 +92,7 @@ def test_what_is_written_is_read_in_stored_units(study):
         ("low_deg = -90.0, ", "", "a limit says low_ and high_ with their unit"),
         ("high_deg = 90.0, rate_deg_s = 360.0", "high_deg = -91.0", "a low value, a higher one and a positive rate"),
         ("rate_deg_s = 360.0", "rate_rad_s = 6.0", "unknown key; received 'rate_rad_s'"),
-        ('rig = "target"', 'rig = "simulated"\nplant = "a"', 'only rig = "target" has target and limits'),
+        ('rig = "target"', 'rig = "simulated"\nplant = "a"', 'only rig = "target" has target'),
     ],
 )
 def test_a_study_that_does_not_fit_is_refused(study, old, new, sentence):

@@ -1,0 +1,296 @@
+"""A study's experiments in the order in which they are made: steps of rising amplitude, then the recording itself."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from loopshape.core.errors import RigError, WrongUseError
+from loopshape.core.units import TWO_PI, Array
+from loopshape.data.signal.excitation import ramp
+from loopshape.data.signal.experiment import Experiment
+from loopshape.data.signal.recording import Recording
+from loopshape.io.run.journal import note
+from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.settings import Limit
+from loopshape.toolbox.rig.simulated import Planned, Rig, experiment
+from loopshape.toolbox.rig.steps.enough import Look, Until
+from loopshape.toolbox.rig.steps.escalation import (
+    NOISE_PEAK,
+    STILL_MOST,
+    STILL_SHARE,
+    STILL_STEPS,
+    STILL_TICKS,
+    STILL_TIMES,
+    Escalation,
+    Seen,
+    Step,
+    Trip,
+    at_rest,
+    tested,
+)
+from loopshape.toolbox.rig.steps.supervisor import Supervisor
+from loopshape.toolbox.rig.study import Study
+from loopshape.verbs.watch import Watch
+
+#: ramps of an excitation that has none, as a share of a period
+RAMP_SHARE = 0.1
+#: how long a simulated machine is watched after its excitation stopped, in s
+AFTER_S = 0.5
+_APART = 50_021  # between the seeds of steps
+
+
+class StoppedAtLimitError(RigError):
+    """A machine passed a limit, or a step says that nothing may move: what was recorded is kept, and a person looks."""
+
+
+class Course:
+    """What comes next in a study, from what came: `coming` gives experiments, `taken` is told each recording.
+
+    Without an escalation and `until` they are the study's own. Steps are recordings NAME-a0 (at rest), NAME-a1, ...,
+    held out of estimates (role "validation"), and lines of the run's journal.
+    """
+
+    def __init__(
+        self, study: Study, plant: Rig, folder: Path, watch: Watch,
+        escalation: Escalation | None = None, until: Until | None = None,
+    ) -> None:  # fmt: skip
+        self._study, self._plant, self._folder, self._watch = study, plant, folder, watch
+        self._escalation, self._until = escalation, until
+        self.limits: Mapping[str, Limit] = study.target.limits if study.target else study.limits
+        if escalation is not None and not self.limits:
+            raise WrongUseError("an escalation needs limits to keep away from", "none", "write [limits] in the study")
+        self._past: tuple[Seen, ...] = ()
+        self._step, self._percent = False, 100.0
+        self._supervisor: Supervisor | None = None
+        self._last: Recording | None = None
+
+    @property
+    def plain(self) -> bool:
+        """Whether nothing but the study's own recordings comes, none of which anything could end."""
+        return self._escalation is None and self._until is None and (self._study.target is not None or not self.limits)
+
+    @property
+    def in_step(self) -> bool:
+        """Whether the experiment under way is a step, and not a recording of the study."""
+        return self._step
+
+    def coming(self, todo: Sequence[Planned]) -> Iterator[Experiment]:
+        """The experiments in order; each next one follows from what was `taken`. Raises `StoppedAtLimitError`."""
+        for planned in todo:
+            self._past, self._step = (), False
+            if planned.template.excitation is None or self._escalation is None:
+                yield experiment(self._study, self._plant, planned)
+                continue
+            percent = yield from self._climbed(planned, self._escalation)
+            self._step = False
+            yield self._made(planned, percent)
+
+    def _climbed(self, planned: Planned, settings: Escalation) -> Generator[Experiment, None, float]:
+        """Steps up to the largest amplitude at which the recording may be made, in percent."""
+        commands = self._commands(planned)
+        self._step = True
+        yield self._resting(planned)
+        assert self._last is not None
+        step, seen = at_rest(self._last, self.limits, commands)
+        self._past = (seen,)
+        self._report(planned, step)
+        percent, best, number = settings.start_percent, 0.0, 0
+        loop = next(one for one in planned.loops if one.name == planned.template.excites)
+        while step.stop is None:
+            number += 1
+            e = self._made(planned, percent, number)
+            yield e
+            trip = self._supervisor.trip if self._supervisor else None
+            share = self._share(planned, e)
+            step, seen = tested(
+                self._last, loop, settings, self.limits, commands, percent, self._past, share, self._until, trip
+            )
+            self._report(planned, step)
+            if step.valid and trip is None:
+                self._past, best = (*self._past, seen), percent
+            percent = step.next_percent or percent
+        if not step.stop.records or best == 0.0:
+            raise StoppedAtLimitError(
+                f"no recording of {planned.name!r} is made", step.sentence,
+                "look at the machine; the journal has every step",
+            )  # fmt: skip
+        return best
+
+    def _commands(self, planned: Planned) -> frozenset[str]:
+        target = self._study.target
+        return frozenset(target.commands if target else (one.control for one in planned.loops)) & self.limits.keys()
+
+    def _report(self, planned: Planned, step: Step) -> None:
+        note(self._folder, "step", of=planned.name, **step.to_dict())
+        (self._watch.say if step.valid else lambda line: self._watch.warn([line]))(step.sentence)
+
+    def _looked(self, found: Look) -> None:
+        note(self._folder, "look", **found.to_dict())
+        self._watch.say(found.sentence)
+
+    def _resting(self, planned: Planned) -> Experiment:
+        """The step without excitation, as long as a step."""
+        t = planned.template
+        signal: Any = t.excitation
+        rest = replace(
+            t, excitation=None, excites=None, excites_also={}, kind="none", role="validation", lead_s=0.0, tail_s=0.0,
+            duration_s=max(1.0, float(signal.period_s or 1.0)),
+        )  # fmt: skip
+        return experiment(self._study, self._plant, replace(planned, template=rest, name=f"{planned.name}-a0"))
+
+    def _made(self, planned: Planned, percent: float, number: int | None = None) -> Experiment:
+        """The experiment at so many percent of its amplitude; a step where it has a number."""
+        settings, t = self._escalation, planned.template
+        assert settings is not None
+        self._percent = percent
+
+        def sized(signal: Any) -> Any:
+            words = {"amplitude": signal.amplitude * percent / 100.0}
+            if signal.period_s and signal.ramp_s <= 0.0:
+                words["ramp_s"] = RAMP_SHARE * signal.period_s
+            if number is not None and signal.period_s:
+                words["periods"] = min(settings.periods, signal.periods)
+            return replace(signal, **words)
+
+        changed = replace(
+            t, excitation=sized(t.excitation), excites_also={k: sized(x) for k, x in t.excites_also.items()}
+        )
+        if number is None:
+            return self._moved(experiment(self._study, self._plant, replace(planned, template=changed)), planned)
+        one = replace(
+            planned, template=replace(changed, role="validation"), name=f"{planned.name}-a{number}",
+            seed=planned.seed + _APART * number,
+        )  # fmt: skip
+        return self._moved(experiment(self._study, self._plant, one), planned)
+
+    def _moved(self, e: Experiment, planned: Planned) -> Experiment:
+        """With the base motion, a sine of the setpoint once a period; refuses one that the excitation holds."""
+        settings = self._escalation
+        signal: Any = planned.template.excitation
+        if settings is None or not settings.base_percent or signal is None:
+            return e
+        if e.injection not in ("controller_input", "reference") or not e.period_s:
+            raise WrongUseError(
+                f"a base motion goes with a periodic excitation of setpoint or controller input ({e.name!r})",
+                f"{e.kind} at {e.injection}", "leave base_percent out",
+            )  # fmt: skip
+        if signal.band_hz[0] < 1.5 / e.period_s:
+            raise WrongUseError(
+                f"the base motion of {e.name!r} would lie on a frequency that is excited", f"{1.0 / e.period_s:g} Hz",
+                "begin the excitation at twice that or higher, or lengthen its period",
+            )  # fmt: skip
+        size = float(signal.amplitude) * settings.base_percent / 100.0
+        k = [one.name for one in e.loops].index(str(e.excites))
+        t = np.arange(e.samples) / e.rate_hz
+        references = np.array(e.references)
+        window = ramp(e.samples, round(0.25 * e.period_s * e.rate_hz))
+        references[:, k] += size * np.sin(TWO_PI * t / e.period_s) * window
+        return replace(e, references=references)
+
+    def _share(self, planned: Planned, e: Experiment) -> float:
+        """A step's measured length over the recording's own."""
+        signal: Any = planned.template.excitation
+        return min(self._escalation.periods, signal.periods) / signal.periods if e.period_s else 1.0  # type: ignore
+
+    def supervisor(self, e: Experiment) -> Supervisor | None:
+        """What watches this experiment while it runs; None where nothing is to be watched."""
+        guards, still, expected = {}, {}, {}
+        if self._escalation is not None and self._past:
+            rest, part = self._past[0], 1.0 - self._escalation.reserve_percent / 200.0
+            for column, limit in self.limits.items():
+                if (middle := rest.mean.get(column)) is not None:
+                    ends = (middle + part * (end - middle) for end in (limit.low, limit.high))
+                    guards[column] = replace(limit, low=min(low := next(ends), middle), high=max(next(ends), low))
+            target = self._study.target
+            for column in self.limits.keys() - (target.commands if target else {one.control for one in e.loops}):
+                ticks = max((one.still_ticks.get(column, 0) for one in self._past), default=0)
+                noise, grain = self._past[0].rms.get(column, 0.0), self._past[0].grain.get(column, np.inf)
+                if ticks <= STILL_MOST and noise > grain:  # else it depends on where the sensor stands in its step
+                    still[column] = max(STILL_TIMES * ticks, STILL_TICKS)
+                if (motion := self._expected(e, column)) is not None:
+                    expected[column] = motion
+        limits = {} if self._study.target else self.limits
+        until = self._until if e.excites is not None and not self._step else None
+        if until is not None and e.kind == "sweep":
+            raise WrongUseError(
+                f"{e.name!r} cannot end when it is enough", "a sweep comes to each frequency once",
+                "excite with a multisine, a PRBS or noise",
+            )  # fmt: skip
+        watched = guards or limits or until
+        self._supervisor = Supervisor(e, guards, limits, still, expected, until, self._looked) if watched else None
+        return self._supervisor
+
+    def _expected(self, e: Experiment, column: str) -> tuple[Array, float] | None:
+        """The motion (n,) of a column in its periods as the step before had it, at this amplitude, and how much of it
+        no sensor passes over; None where no step showed it."""
+        before = self._past[-1]
+        wave = before.period.get(column)
+        if wave is None or not before.percent or not e.period_s or wave.size != round(e.period_s * e.rate_hz):
+            return None
+        ratio = self._percent / before.percent
+        first = round((e.periodic_from_s or 0.0) * e.rate_hz)
+        motion = ratio * np.resize(wave, max(e.samples - first, 0))
+        least = (1.0 + ratio) * (
+            STILL_STEPS * before.grain[column] + 2.0 * NOISE_PEAK * self._past[0].rms.get(column, 0.0)
+        )
+        least = max(least, STILL_SHARE * float(np.ptp(motion)))
+        return np.concatenate([np.full(first, np.nan), motion]), least
+
+    def taken(self, recording: Recording) -> None:
+        """A recording was made, whole or in part."""
+        self._last = recording
+        found = self._supervisor
+        if found is not None and found.trip is Trip.ENOUGH and found.last is not None:
+            note(self._folder, "enough", **found.last.to_dict())
+
+    def simulated(self, e: Experiment, states: bool = False) -> Recording:
+        """The experiment on the study's plant, under supervision: what comes after a trip is simulated as it would be.
+
+        The same seed gives the same signals up to where the excitation stopped.
+        """
+        whole, found = self._simulated(e, states), self.supervisor(e)
+        if found is None:
+            return whole
+        columns = dict(whole.columns)
+        rows = len(columns["t_s"])
+        place, trip = found.first_trip(columns), found.trip
+        found.trip = None
+        while (n := found.due(rows if place is None else place)) is not None and n < e.samples:
+            found.looked({name: x[:n] for name, x in columns.items()})
+            if found.trip is Trip.ENOUGH:
+                return cut(whole, n, None)
+        found.trip = trip
+        if place is None or trip is None:
+            return whole
+        if trip.vents:
+            return cut(whole, place + 1, found.why)
+        injected, references = np.array(e.injected), np.array(e.references)
+        injected[place + 1 :], references[place + 1 :] = 0.0, e.references[0]
+        after = self._simulated(replace(e, injected=injected, references=references), states)
+        n = min(place + 1 + round(AFTER_S * e.rate_hz), len(after.columns["t_s"]))
+        beyond = Supervisor(e, {}, found.limits)
+        passed = beyond.first_trip({name: x[:n] for name, x in after.columns.items()})
+        if passed is not None:
+            found.trip, found.column = Trip.LIMIT, beyond.column
+            return cut(after, passed + 1, found.why)
+        return cut(after, n, found.why)
+
+    def _simulated(self, e: Experiment, states: bool) -> Recording:
+        study, plant = self._study, self._plant
+        changes = dict(study.changes) | moves(plant, study.effects)
+        return next(iter(plant.simulate([e], solver=study.solver, changes=changes, threads=1, states=states)))
+
+
+def cut(recording: Recording, n: int, why: str | None) -> Recording:
+    """The first n rows; `why` says that the recording ended early."""
+    info = (
+        recording.info
+        if why is None
+        else replace(recording.info, ended_early=f"{why} at {n / recording.rate_hz:.3f} s")
+    )
+    return Recording(info, recording.rate_hz, {name: np.asarray(x)[:n] for name, x in recording.columns.items()})
