@@ -11,6 +11,7 @@ from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
     from loopshape.toolbox.planning.tone.verbs import tones as tones
+    from loopshape.toolbox.planning.verbs import enough as enough
     from loopshape.toolbox.planning.verbs import plan as plan
     from loopshape.toolbox.planning.verbs import write_plan as write_plan
 
@@ -32,6 +33,7 @@ TOOLBOX = Toolbox(
     looks={"growth": "loopshape.toolbox.planning.tone.verbs:growing"},
     names={
         "tones": "loopshape.toolbox.planning.tone.verbs",
+        "enough": "loopshape.toolbox.planning.verbs",
         "plan": "loopshape.toolbox.planning.verbs",
         "write_plan": "loopshape.toolbox.planning.verbs",
     },

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from loopshape.core.errors import LoopshapeError, WrongUseError, refuse_unknown_keys
 from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.excitation_sets import realised
 from loopshape.data.signal.recording import Recording
@@ -21,6 +22,7 @@ from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import first_record
 from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.simulated import plan as doable
+from loopshape.toolbox.rig.steps.enough import Look, Until, look, until_of
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.files import read
 
@@ -61,6 +63,43 @@ def plan(
     own = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
     return plan_from(
         first_record(chosen, loop), Required(std, **limits), controller_of(own, loop.name) if own else None
+    )
+
+
+def enough(
+    run: Run | str | Path,
+    until: Until | float | Sequence[Requirements],
+    recording: str | None = None,
+    *,
+    controllers: Controller | Sequence[Controller] = (),
+) -> Look:
+    """Whether a recording of a run is long enough, and about how much longer it should be.
+
+    `until` is a std of S in every octave (of |S| where that is above 1), requirements whose verdict is to be decided,
+    of the loop's own controller or that of `controllers`, or `Until`. `state` is "more", "accurate" or "decided",
+    `more_s` the time that is missing if the estimates stay (None: not known), `bands` the accuracy by octaves. Looking
+    once at a finished recording needs no wider intervals; `measure --until`, which looks often, has them. Raises
+    BadSignalError for a recording from which nothing follows, with how many samples it should have.
+
+    Examples
+    --------
+    >>> import numpy as np, loopshape as ls
+    >>> n, v = np.random.default_rng(1).standard_normal((2, 20_000))
+    >>> y = 0.0 * n
+    >>> for k in range(1, n.size):
+    ...     y[k] = 0.99 * y[k - 1] + 0.02 * (n[k - 1] - y[k - 1])
+    >>> run = ls.Run.from_arrays(u=n - y, y=y + 0.001 * v, excitation=n, rate_hz=1000.0)
+    >>> str(ls.planning.enough(run, 0.05).state)
+    'accurate'
+    """
+    whole = run if isinstance(run, Run) else read(run)
+    chosen = _first(whole, recording)
+    loop = whole.loop(str(chosen.info.excites))
+    given = (controllers,) if isinstance(controllers, Controller) else tuple(controllers)
+    wanted = until_of(until)
+    assert wanted is not None
+    return look(
+        chosen, loop, replace(wanted, controllers={c.loop: c for c in given} | dict(wanted.controllers)), strict=True
     )
 
 

@@ -11,6 +11,10 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
 from loopshape.verbs.pictures import figures_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from loopshape.data.control.controller import Controller
+    from loopshape.data.signal.run import Run
     from loopshape.toolbox.planning.plan_nouns import Plan
 
 #: lines of the table that are shown, the crossover's among them
@@ -45,6 +49,9 @@ def plan(
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="Length in s; with --resolution-hz.")] = None,
     lines: Annotated[str, typer.Option(help="odd (shows distortion), log, or all.")] = "odd",
+    until: Annotated[
+        str | None, typer.Option(help="Say whether it is enough: S=PERCENT, P=PERCENT, or a requirements file.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="The study to write; default: plan_LOOP.toml in the run.")] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -53,6 +60,7 @@ def plan(
 
     Where the first recording has that accuracy already nothing is proposed. With --resolution-hz and --seconds, as
     `check` prints them for an undecided verdict, the experiment is that, in the band from --from-hz to --to-hz.
+    With --until nothing is planned: it says whether the recording is long enough, or about how much more it takes (1).
     """
     from loopshape.io.run.run_folder import read_run
     from loopshape.io.write.controllers import read_controllers
@@ -63,12 +71,16 @@ def plan(
 
     output = Output(as_json, quiet)
     held = read_run(run)
+    own = () if controller is None else read_controllers(controller)
+    if until is not None:
+        long_enough(held, recording, until, own, output)
+        return
     with output.progress("plan", 1) as step:
         found = planned(
             held,
             recording,
             std=_std(std_db, std_percent, std_deg, resolution_hz is not None or seconds is not None),
-            controllers=() if controller is None else read_controllers(controller),
+            controllers=own,
             at_hz=at,
             max_amplitude=max_amplitude,
             max_input=max_input,
@@ -94,6 +106,28 @@ def plan(
     output.say(found.sentence)
     output.json(found.to_dict() | {"run": str(run), "study": str(study), "complete": written, "figure": str(figure)})
     if not found.reached:
+        raise typer.Exit(1)
+
+
+def long_enough(
+    run: Run, recording: str | None, until: str, controllers: Sequence[Controller], output: Output
+) -> None:  # fmt: skip
+    """Say how accurate a recording is, and whether it is enough. Exit code 1 where it takes more."""
+    from loopshape.toolbox.planning.verbs import enough
+    from loopshape.toolbox.rig.commands.measure import until_in
+    from loopshape.toolbox.rig.steps.enough import State
+
+    wanted = until_in(until)
+    assert wanted is not None
+    found = enough(run, wanted, recording, controllers=controllers)
+    rows = [
+        (x.low_hz, x.high_hz, "-" if x.sensitivity_std is None else 100.0 * x.sensitivity_std, 100.0 * x.plant_std)
+        for x in found.bands
+    ]
+    output.table("Accuracy so far", ["from [Hz]", "to [Hz]", "std of S [%]", "std of P [%]"], rows)
+    output.say(found.sentence)
+    output.json(found.to_dict())
+    if found.state is State.MORE:
         raise typer.Exit(1)
 
 

@@ -128,12 +128,12 @@ def record(
     return measure_study(
         study, out, controllers=found, effects=effects, port=port, again=again, states=states,
         verdict=verdict, allow_unverified=allow_unverified,
-        escalate=False if escalate is None else escalate, until=until_of(until),
+        escalate=False if escalate is None else escalate, until=until_in(until),
         confirm=lambda motion: _confirmed(motion, arm, show, output), watch=output,
     )  # fmt: skip
 
 
-def until_of(word: str | None) -> Until | None:
+def until_in(word: str | None) -> Until | None:
     """What `--until` says: S=PERCENT or P=PERCENT (a number alone is S), anything else a file of requirements."""
     from loopshape.io.requirements import read_requirements
     from loopshape.toolbox.rig.steps.enough import Of, Until

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from loopshape.core.errors import RigError, WrongUseError
-from loopshape.core.units import TWO_PI, Array
+from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
+from loopshape.core.units import TWO_PI
+from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.excitation import ramp
 from loopshape.data.signal.experiment import Experiment
-from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.io.run.journal import note
 from loopshape.toolbox.rig.effects import moves
 from loopshape.toolbox.rig.settings import Limit
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment
-from loopshape.toolbox.rig.steps.enough import Look, Until
+from loopshape.toolbox.rig.steps.enough import Look, Until, look
 from loopshape.toolbox.rig.steps.escalation import (
     NOISE_PEAK,
     STILL_MOST,
@@ -31,14 +33,17 @@ from loopshape.toolbox.rig.steps.escalation import (
     Step,
     Trip,
     at_rest,
+    exponent,
     tested,
 )
-from loopshape.toolbox.rig.steps.supervisor import Supervisor
-from loopshape.toolbox.rig.study import Study
+from loopshape.toolbox.rig.steps.supervisor import Expected, Supervisor
+from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.watch import Watch
 
 #: ramps of an excitation that has none, as a share of a period
 RAMP_SHARE = 0.1
+#: share of a limit's room from which on a machine that goes farther than the step before predicted is stopped
+UNEXPECTED_FROM = 0.5
 #: how long a simulated machine is watched after its excitation stopped, in s
 AFTER_S = 0.5
 _APART = 50_021  # between the seeds of steps
@@ -64,6 +69,9 @@ class Course:
         self.limits: Mapping[str, Limit] = study.target.limits if study.target else study.limits
         if escalation is not None and not self.limits:
             raise WrongUseError("an escalation needs limits to keep away from", "none", "write [limits] in the study")
+        if until is not None:
+            for template in study.experiments:
+                _refuse_endless(template, until)
         self._past: tuple[Seen, ...] = ()
         self._step, self._percent = False, 100.0
         self._supervisor: Supervisor | None = None
@@ -78,6 +86,26 @@ class Course:
     def in_step(self) -> bool:
         """Whether the experiment under way is a step, and not a recording of the study."""
         return self._step
+
+    def ready(self, todo: Sequence[Planned]) -> None:
+        """Estimate from made-up numbers what the first experiment will be estimated from: kernels are compiled on their
+        first call, which takes longer than a watchdog waits."""
+        planned = next((one for one in todo if one.template.excites is not None), None)
+        if planned is None or self.plain:
+            return
+        e = experiment(self._study, self._plant, planned)
+        k = [one.name for one in e.loops].index(str(e.excites))
+        loop, n = e.loops[k], e.injected[:, k] + e.references[:, k] - e.references[0, k]
+        y = 0.1 * np.convolve(n, 0.9 ** np.arange(1, 100))[: n.size]
+        y += 0.01 * float(np.std(y)) * np.random.default_rng(0).standard_normal(n.size)
+        columns = {"t_s": np.arange(n.size) / e.rate_hz, loop.control: n - y}
+        columns |= {column: y / len(sum_terms(loop.output)) for column in sum_terms(loop.output)}
+        columns |= {
+            name: x for name, x in ((loop.reference, e.references[:, k]), (loop.injected, e.injected[:, k])) if name
+        }
+        with suppress(LoopshapeError):
+            info = replace(RecordingInfo.of(e), role="estimation")
+            look(Recording(info, e.rate_hz, columns), loop, self._until or Until(0.5))
 
     def coming(self, todo: Sequence[Planned]) -> Iterator[Experiment]:
         """The experiments in order; each next one follows from what was `taken`. Raises `StoppedAtLimitError`."""
@@ -202,10 +230,11 @@ class Course:
         guards, still, expected = {}, {}, {}
         if self._escalation is not None and self._past:
             rest, part = self._past[0], 1.0 - self._escalation.reserve_percent / 200.0
-            for column, limit in self.limits.items():
-                if (middle := rest.mean.get(column)) is not None:
-                    ends = (middle + part * (end - middle) for end in (limit.low, limit.high))
-                    guards[column] = replace(limit, low=min(low := next(ends), middle), high=max(next(ends), low))
+            for column in self.limits.keys() & rest.mean.keys():
+                limit, middle = self.limits[column], rest.mean[column]
+                if limit.low < middle < limit.high:
+                    low, high = (middle + part * (end - middle) for end in (limit.low, limit.high))
+                    guards[column] = replace(limit, low=low, high=high)
             target = self._study.target
             for column in self.limits.keys() - (target.commands if target else {one.control for one in e.loops}):
                 ticks = max((one.still_ticks.get(column, 0) for one in self._past), default=0)
@@ -216,30 +245,34 @@ class Course:
                     expected[column] = motion
         limits = {} if self._study.target else self.limits
         until = self._until if e.excites is not None and not self._step else None
-        if until is not None and e.kind == "sweep":
-            raise WrongUseError(
-                f"{e.name!r} cannot end when it is enough", "a sweep comes to each frequency once",
-                "excite with a multisine, a PRBS or noise",
-            )  # fmt: skip
         watched = guards or limits or until
         self._supervisor = Supervisor(e, guards, limits, still, expected, until, self._looked) if watched else None
         return self._supervisor
 
-    def _expected(self, e: Experiment, column: str) -> tuple[Array, float] | None:
-        """The motion (n,) of a column in its periods as the step before had it, at this amplitude, and how much of it
-        no sensor passes over; None where no step showed it."""
-        before = self._past[-1]
-        wave = before.period.get(column)
-        if wave is None or not before.percent or not e.period_s or wave.size != round(e.period_s * e.rate_hz):
+    def _expected(self, e: Experiment, column: str) -> Expected | None:
+        """The motion of a column in its periods as the step before had it, at this amplitude; None where none did."""
+        rest, before, settings = self._past[0], self._past[-1], self._escalation
+        record = before.record.get(column)
+        if settings is None or record is None or not before.percent or not e.period_s:
             return None
-        ratio = self._percent / before.percent
+        ratio, period = self._percent / before.percent, round(e.period_s * e.rate_hz)
         first = round((e.periodic_from_s or 0.0) * e.rate_hz)
-        motion = ratio * np.resize(wave, max(e.samples - first, 0))
-        least = (1.0 + ratio) * (
-            STILL_STEPS * before.grain[column] + 2.0 * NOISE_PEAK * self._past[0].rms.get(column, 0.0)
-        )
-        least = max(least, STILL_SHARE * float(np.ptp(motion)))
-        return np.concatenate([np.full(first, np.nan), motion]), least
+        whole = (e.samples - first) // period
+        known = first + (record.size - first) // period * period
+        motion = np.full(e.samples, np.nan)  # not while the excitation goes out
+        motion[:known] = record[:known]
+        motion[known : first + whole * period] = np.tile(record[known - period : known], whole)[
+            : max(first + whole * period - known, 0)
+        ]
+        middle, noise = rest.mean.get(column, 0.0), NOISE_PEAK * rest.rms.get(column, 0.0)
+        grown = ratio ** exponent(before, self._past[:-1], column)  # friction that lets go more and more
+        motion = middle + grown * (motion - middle)
+        least = (1.0 + ratio) * (STILL_STEPS * before.grain[column] + 2.0 * noise)
+        limit = self.limits[column]
+        room = min(limit.high - middle, middle - limit.low)
+        off = 0.005 * settings.reserve_percent * room + (1.0 + ratio) * noise
+        least = max(least, STILL_SHARE * float(np.nanmax(motion) - np.nanmin(motion)))
+        return Expected(motion, middle, least, UNEXPECTED_FROM * room, off)
 
     def taken(self, recording: Recording) -> None:
         """A recording was made, whole or in part."""
@@ -284,6 +317,22 @@ class Course:
         study, plant = self._study, self._plant
         changes = dict(study.changes) | moves(plant, study.effects)
         return next(iter(plant.simulate([e], solver=study.solver, changes=changes, threads=1, states=states)))
+
+
+def _refuse_endless(template: ExperimentTemplate, until: Until) -> None:
+    """Refuse an excitation that comes to each frequency once, and a loop without requirements."""
+    if template.excites is None:
+        return
+    if template.kind == "sweep":
+        raise WrongUseError(
+            f"{template.name!r} cannot end when it is enough", "a sweep comes to each frequency once",
+            "excite with a multisine, a PRBS or noise",
+        )  # fmt: skip
+    if until.std is None and until.required(template.excites) is None:
+        raise WrongUseError(
+            f"{template.name!r} has no verdict that could end it", f"no requirements of loop {template.excites!r}",
+            f"they are of {', '.join(one.loop for one in until.requirements)}",
+        )  # fmt: skip
 
 
 def cut(recording: Recording, n: int, why: str | None) -> Recording:

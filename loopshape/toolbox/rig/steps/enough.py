@@ -54,12 +54,13 @@ class State(StrEnum):
 class Band(Plain):
     """Rms over an octave of the std of S (over |S| where that is above 1) and of the plant's (over |P|).
 
-    dS = -S T dP/P: margins need no more of P than S shows, which is most about the crossover.
+    inf where nothing is known; a recording in open loop has no S. dS = -S T dP/P: margins need no more of P than S
+    shows, which is most about the crossover.
     """
 
     low_hz: float
     high_hz: float
-    sensitivity_std: float
+    sensitivity_std: float | None
     plant_std: float
 
 
@@ -88,11 +89,13 @@ class Until:
 
     def worst(self, bands: Sequence[Band]) -> float:
         """The std of the worst octave."""
-        return max((x.plant_std if self.of is Of.PLANT else x.sensitivity_std for x in bands), default=float("inf"))
+        plant = self.of is Of.PLANT
+        found = [x.plant_std if plant or x.sensitivity_std is None else x.sensitivity_std for x in bands]
+        return max(found, default=float("inf"))
 
     def required(self, loop: str) -> Requirements | None:
         """What is required of a loop, None without."""
-        return next((one for one in self.requirements if one.loop == loop), None)
+        return next((one for one in self.requirements if one.loop in ("", loop)), None)
 
 
 @dataclass(frozen=True)
@@ -114,9 +117,9 @@ class Look(Plain):
     @property
     def sentence(self) -> str:
         """The same in words."""
-        known = " and ".join(
-            _worst(self.bands, key, name) for key, name in (("sensitivity_std", "S"), ("plant_std", "P"))
-        )
+        closed = any(one.sensitivity_std is not None for one in self.bands)
+        asked = (("sensitivity_std", "S"), ("plant_std", "P"))[0 if closed else 1 :]
+        known = " and ".join(_worst(self.bands, key, name) for key, name in asked)
         after = f"{self.recording} after {self.elapsed_s:.4g} s: {known}"
         if self.state is State.ACCURATE:
             return f"{after}: accurate enough"
@@ -125,6 +128,13 @@ class Look(Plain):
         if self.more_s is None:
             return f"{after}: how much longer is not known yet"
         return f"{after}: about {self.more_s:.2g} s more"
+
+
+def until_of(asked: Until | float | Sequence[Requirements] | None) -> Until | None:
+    """What a number (a std of S) or requirements stand for."""
+    if asked is None or isinstance(asked, Until):
+        return asked
+    return Until(std=float(asked)) if isinstance(asked, int | float) else Until(requirements=tuple(asked))
 
 
 def _worst(bands: Sequence[Band], key: str, name: str) -> str:
@@ -136,16 +146,21 @@ def _worst(bands: Sequence[Band], key: str, name: str) -> str:
     )
 
 
-def look(recording: Recording, loop: LoopSetup, until: Until, widened: float = 1.0) -> Look:
+def look(
+    recording: Recording, loop: LoopSetup, until: Until, widened: float = 1.0, *, strict: bool = False
+) -> Look:  # fmt: skip
     """What a recording is so far; its intervals are wider by `widened` while more looks are to come.
 
-    A recording from which nothing follows yet needs more of an unknown length. Misleads where the response is coarser
+    A recording from which nothing follows yet needs more of an unknown length; `strict` refuses it with how long it has
+    to be. Misleads where the response is coarser
     than the recording's frequencies: no interval shows that.
     """
     name, elapsed_s = recording.info.name, _measured_s(recording)
     try:
         bands, P = accuracy(recording, loop)
     except BadSignalError:
+        if strict:
+            raise
         return Look(name, elapsed_s, State.MORE, ())
     if until.std is not None:
         times = (until.worst(bands) / until.std) ** 2
@@ -170,7 +185,8 @@ def _verdict(
     """The verdict with wider intervals, and about how much more time it takes; refuses a loop without requirements."""
     from loopshape.verbs.chain import check
 
-    R, C = until.required(loop.name), until.controllers.get(loop.name, loop.controller)
+    own = until.controllers.get(loop.name) or until.controllers.get("") or loop.controller
+    R, C = until.required(loop.name), own
     if R is None or C is None:
         raise WrongUseError(
             f"loop {loop.name!r} has no verdict that could end its recording",
@@ -179,8 +195,9 @@ def _verdict(
     if not P.valid.any():
         return Outcome.UNDECIDED, None
     found = check(replace(P, covariance=P.covariance * widened**2), C, R)
-    if found.outcome is not Outcome.UNDECIDED:
-        return found.outcome, 0.0
+    if found.outcome is not Outcome.UNDECIDED:  # wider errors may hide what leaves the true ones undecided
+        same = widened <= 1.0 or check(P, C, R).outcome is found.outcome
+        return found.outcome if same else Outcome.UNDECIDED, 0.0 if same else None
     times = [line.longer for line in found.lines if line.outcome is Outcome.UNDECIDED]
     if not times or any(one is None or not np.isfinite(one) for one in times):
         return found.outcome, None
@@ -188,17 +205,17 @@ def _verdict(
 
 
 def accuracy(recording: Recording, loop: LoopSetup) -> tuple[tuple[Band, ...], FRF]:
-    """Accuracy by octaves and the plant's FRF; of a recording in open loop the plant's stands for that of S."""
+    """Accuracy by octaves and the plant's FRF."""
     P = estimate_frf(recording, loop)
     closed = recording.info.closed_loop and recording.info.alone
     S = estimate_sensitivity(recording, loop) if closed else P
-    f, error = S.frequency_hz, np.sqrt(S.variance[:, 0, 0]) / np.maximum(np.abs(S.siso), 1.0 if closed else 0.0)
+    f, error = S.frequency_hz, np.sqrt(S.variance[:, 0, 0]) / np.maximum(np.abs(S.siso), 1.0)
     octaves = np.floor(np.log2(f / f[0]) + 1e-9)
     bands = []
     for k in np.unique(octaves):
         low, high = float(f[0] * 2.0**k), float(min(f[0] * 2.0 ** (k + 1.0), f[-1]))
         beside = (P.frequency_hz >= low * (1.0 - 1e-9)) & (P.frequency_hz <= high * (1.0 + 1e-9))
-        bands.append(Band(low, high, _rms(error[octaves == k]), _rms(P.relative_std[beside, 0, 0])))
+        bands.append(Band(low, high, _rms(error[octaves == k]) if closed else None, _rms(P.relative_std[beside, 0, 0])))
     return tuple(bands), P
 
 
@@ -236,21 +253,27 @@ def boundary(times_s: Sequence[float]) -> float:
     >>> round(boundary([1.0]), 3), round(boundary([1.0, 2.0, 3.0, 4.0, 5.0]), 2)
     (1.96, 2.41)
     """
+    steps = [_step(before, now) for before, now in pairwise(times_s)]
     low, high = NORMAL, 4.5
     for _ in range(30):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if _crossed(times_s, middle) > SIDE else (low, middle)
+        low, high = (middle, high) if _crossed(steps, middle) > SIDE else (low, middle)
     return 0.5 * (low + high)
 
 
-def _crossed(times_s: Sequence[float], bound: float) -> float:
-    """Probability that the standardised error exceeds `bound` at any of the times, by a recursion over its density."""
-    step = _GRID[1] - _GRID[0]
-    inside = np.clip((bound - _GRID) / step + 0.5, 0.0, 1.0)  # the share of each cell below the bound
+def _step(before: float, now: float) -> Array:
+    """Density of the standardised error at a time, given each of its values at a time before, on the grid."""
+    tie = np.sqrt(before / now)
+    spread = np.sqrt(max(1.0 - tie**2, 1e-6))
+    wide = np.exp(-0.5 * ((_GRID[:, None] - tie * _GRID) / spread) ** 2)
+    return np.asarray(wide / (spread * np.sqrt(2.0 * np.pi)))
+
+
+def _crossed(steps: Sequence[Array], bound: float) -> float:
+    """Probability that the standardised error exceeds `bound` at any look, by a recursion over its density."""
+    cell = _GRID[1] - _GRID[0]
+    inside = np.clip((bound - _GRID) / cell + 0.5, 0.0, 1.0)  # the share of each cell below the bound
     density = np.exp(-0.5 * _GRID**2) / np.sqrt(2.0 * np.pi) * inside
-    for before, now in pairwise(times_s):
-        tie = np.sqrt(before / now)
-        spread = np.sqrt(max(1.0 - tie**2, 1e-6))
-        moved = np.exp(-0.5 * ((_GRID[:, None] - tie * _GRID) / spread) ** 2) / (spread * np.sqrt(2.0 * np.pi))
-        density = (moved @ density) * step * inside
-    return float(1.0 - density.sum() * step)
+    for step in steps:
+        density = (step @ density) * cell * inside
+    return float(1.0 - density.sum() * cell)

@@ -37,6 +37,8 @@ FLAT_SHARE, FLAT_COUNT = 0.005, 10
 #: a sensor that stands still for so many times as long as it ever did is stuck; never in fewer ticks, and no sensor
 #: that stood still for longer than the last
 STILL_TIMES, STILL_TICKS, STILL_MOST = 3, 10, 20
+#: and one that moved in no excited step of so many
+STILL_AT_MOST = 4
 #: one that should have moved by so many of its steps, and by this share of its travel, since it moved last, is stuck
 STILL_STEPS, STILL_SHARE = 3.0, 0.1
 
@@ -58,6 +60,7 @@ class Stop(StrEnum):
     DRIFTED = "drifted"
     STUCK = "stuck"
     NOISY = "noisy"
+    UNEXPECTED = "unexpected"
 
     @property
     def records(self) -> bool:
@@ -67,21 +70,22 @@ class Stop(StrEnum):
     @property
     def valid(self) -> bool:
         """Whether the data of the step that showed it are valid."""
-        return self not in (Stop.CLIPPED, Stop.RATE_LIMITED, Stop.LIMIT_PASSED, Stop.STUCK, Stop.NOISY)
+        return self not in (Stop.CLIPPED, Stop.RATE_LIMITED, Stop.LIMIT_PASSED, Stop.STUCK, Stop.NOISY, Stop.UNEXPECTED)
 
 
 class Trip(StrEnum):
-    """What ends a recording while it runs: the excitation stops at a guard and with enough, the machine vents else."""
+    """What ends a recording while it runs: at a guard and with enough the excitation stops, else the machine vents."""
 
     GUARD = "guard"
     LIMIT = "limit"
     STUCK = "stuck"
+    UNEXPECTED = "unexpected"
     ENOUGH = "enough"
 
     @property
     def vents(self) -> bool:
         """Whether the machine is vented at once."""
-        return self in (Trip.LIMIT, Trip.STUCK)
+        return self in (Trip.LIMIT, Trip.STUCK, Trip.UNEXPECTED)
 
 
 @dataclass(frozen=True)
@@ -173,6 +177,7 @@ WORDS = {
     Stop.LIMIT_PASSED: "a limit was passed",
     Stop.DRIFTED: "the mean left its travel window",
     Stop.STUCK: "a sensor stands still",
+    Stop.UNEXPECTED: "the machine did not do what the step before predicted",
     Stop.NOISY: "noise at rest alone takes the room of a command",
 }
 
@@ -181,7 +186,7 @@ WORDS = {
 class Seen:
     """What a step before showed: its amplitude, the plant, and by column how far and how strongly it moved.
 
-    `period` is a column's mean period (n,), `grain` the least by which it ever changes.
+    `record` is a column from the start (n,), `grain` the least by which it ever changes.
     """
 
     percent: float
@@ -191,7 +196,7 @@ class Seen:
     low: Mapping[str, float]
     rms: Mapping[str, float]
     still_ticks: Mapping[str, int]
-    period: Mapping[str, Array] = field(default_factory=dict)
+    record: Mapping[str, Array] = field(default_factory=dict)
     grain: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -200,7 +205,6 @@ def seen(recording: Recording, columns: tuple[str, ...], percent: float, plant: 
     first = round(from_s * recording.rate_hz)
     values = {c: np.asarray(recording.column(c))[first:] for c in columns if c in recording.columns}
     values = {c: x for c, x in values.items() if x.size > 1}
-    size = round((recording.info.period_s or 0.0) * recording.rate_hz)
     mean = {c: float(x.mean()) for c, x in values.items()}
     return Seen(
         percent, plant, mean,
@@ -208,7 +212,7 @@ def seen(recording: Recording, columns: tuple[str, ...], percent: float, plant: 
         {c: mean[c] - float(x.min()) for c, x in values.items()},
         {c: float(x.std()) for c, x in values.items()},
         {c: longest_still(x) for c, x in values.items()},
-        {c: x[: x.size // size * size].reshape(-1, size).mean(axis=0) for c, x in values.items() if 0 < size <= x.size},
+        {c: np.array(recording.column(c)) for c in values},
         {c: least_change(x) for c, x in values.items()},
     )  # fmt: skip
 
@@ -244,7 +248,7 @@ def tested(
     now = seen(recording, tuple(limits) + tuple(settings.travel), percent, plant, 0.0 if trip else from_s)
     full = (until or Until(1e-2)).worst(bands) * float(np.sqrt(share))
     danger = _danger(recording, now, settings, trip)
-    if danger is None and _never_moved(now, past, loop):
+    if danger is None and (_never_moved(now, past, loop) or _stopped_moving(recording, loop, past[0])):
         danger = Stop.STUCK
     spoilt = _spoilt(recording, now, past, commands)
     factor = _factor(now, past, settings, limits)
@@ -275,8 +279,8 @@ def at_rest(recording: Recording, limits: Mapping[str, Limit], commands: frozens
 
 
 def _danger(recording: Recording, now: Seen, settings: Escalation, trip: Trip | None) -> Stop | None:
-    if trip is Trip.STUCK:
-        return Stop.STUCK
+    if trip in (Trip.STUCK, Trip.UNEXPECTED):
+        return Stop(trip.value)
     if trip is Trip.LIMIT or (recording.info.ended_early and trip is None):
         return Stop.LIMIT_PASSED
     outside = [c for c, x in settings.travel.items() if c in now.mean and not x.low <= now.mean[c] <= x.high]
@@ -284,8 +288,39 @@ def _danger(recording: Recording, now: Seen, settings: Escalation, trip: Trip | 
 
 
 def _never_moved(now: Seen, past: tuple[Seen, ...], loop: LoopSetup) -> bool:
-    """Whether a sensor of the loop stood still over this step, and this is not the first excited one."""
-    return bool(past and past[-1].percent) and any(now.grain.get(c) == np.inf for c in sum_terms(loop.output))
+    """Whether a sensor of the loop stood still over this step, which moved before, or over too many steps."""
+    steps = [one for one in past if one.percent]
+    for column in sum_terms(loop.output):
+        moved = [one.grain.get(column, 0.0) < np.inf for one in (*steps, now)]
+        if not moved[-1] and (any(moved) or len(moved) >= STILL_AT_MOST):
+            return True
+    return False
+
+
+def stuck(motion: Array, at: np.ndarray, since: np.ndarray, least: float) -> np.ndarray:
+    """Whether a sensor (rows at `at`, unchanged `since` so many ticks) should have moved by `least` meanwhile."""
+    now = np.minimum(at, motion.size - 1)
+    apart = np.abs(motion[now] - motion[np.maximum(now - since, 0)])
+    return np.asarray((since >= STILL_TICKS) & (apart > least))
+
+
+def _stopped_moving(recording: Recording, loop: LoopSetup, rest: Seen) -> bool:
+    """Whether a sensor of the loop stood still where it moved a period before."""
+    period = round((recording.info.period_s or 0.0) * recording.rate_hz)
+    first = round((recording.info.periodic_from_s or 0.0) * recording.rate_hz)
+    for column in sum_terms(loop.output):
+        x = np.asarray(recording.column(column))[first:]
+        x = x[: x.size // period * period] if period else x[:0]
+        if x.size < 2 * period or not period:
+            continue
+        place, change = np.arange(x.size), np.concatenate([[True], np.diff(x) != 0.0])
+        since = place - np.maximum.accumulate(np.where(change, place, 0))
+        before = np.concatenate([np.full(period, np.nan), x[:-period]])
+        noise = 2.0 * NOISE_PEAK * rest.rms.get(column, 0.0)
+        least = max(2.0 * (STILL_STEPS * least_change(x) + noise), STILL_SHARE * float(np.ptp(x)))
+        if stuck(before, place, since, least).any():
+            return True
+    return False
 
 
 def _spoilt(recording: Recording, now: Seen, past: tuple[Seen, ...], commands: frozenset[str]) -> Stop | None:
@@ -344,7 +379,7 @@ def _rooms(now: Seen, past: tuple[Seen, ...], limits: Mapping[str, Limit], facto
         if column not in now.mean:
             continue
         middle, noise = rest.mean.get(column, now.mean[column]), NOISE_PEAK * rest.rms.get(column, 0.0)
-        steep = _exponent(now, past, column)
+        steep = exponent(now, past, column)
         for sign, end, far in ((1.0, limit.high, now.high[column]), (-1.0, limit.low, now.low[column])):
             shift = sign * (now.mean[column] - middle)
             near = shift + max(far - noise, 0.0) * factor * (1.0 - REPEATS)
@@ -356,7 +391,7 @@ def _rooms(now: Seen, past: tuple[Seen, ...], limits: Mapping[str, Limit], facto
     return tuple(rooms)
 
 
-def _exponent(now: Seen, past: tuple[Seen, ...], column: str) -> float:
+def exponent(now: Seen, past: tuple[Seen, ...], column: str) -> float:
     """By which power of the amplitude a column's motion grew since the step before; 1 at least."""
     before = past[-1] if len(past) > 1 else None
     if before is None or not now.percent > before.percent > 0.0 or column not in before.rms:

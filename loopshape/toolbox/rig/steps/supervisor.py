@@ -13,9 +13,31 @@ from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.rig.settings import Limit
 from loopshape.toolbox.rig.steps.enough import NORMAL, Look, State, Until, boundary, look, looks_s
-from loopshape.toolbox.rig.steps.escalation import Trip
+from loopshape.toolbox.rig.steps.escalation import Trip, stuck
 
 Report = Callable[[Look], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Expected:
+    """A column's motion (samples,) as a step before showed it (nan: not known), and its `middle` at rest.
+
+    A sensor that stands still while it should move by `least` is stuck. Farther from the middle than `far`, where
+    friction that lets go no longer explains it, it may go `off` beyond what is expected.
+    """
+
+    motion: Array
+    middle: float
+    least: float
+    far: float
+    off: float
+
+    def left_by(self, x: Array, first: int) -> np.ndarray:
+        """Whether values (k,) from row `first` on are farther out than expected."""
+        out = np.abs(x - self.middle)
+        return np.asarray(
+            (out > self.far) & (out - np.abs(self.motion[first : first + x.size] - self.middle) > self.off)
+        )
 
 
 @dataclass(eq=False)
@@ -23,7 +45,7 @@ class Supervisor:
     """Watches one experiment; `trip` says what ended it, None while nothing did.
 
     `guards` and `limits` are by column; `still_ticks` by column how long a sensor may stand still,
-    `expected` its motion (samples,) and how much of that a sensor does not pass over. With `until` it
+    `expected` its motion. With `until` it
     looks at what came after `times_s`. `report` hears of each look.
     """
 
@@ -31,7 +53,7 @@ class Supervisor:
     guards: Mapping[str, Limit] = field(default_factory=dict)
     limits: Mapping[str, Limit] = field(default_factory=dict)
     still_ticks: Mapping[str, int] = field(default_factory=dict)
-    expected: Mapping[str, tuple[Array, float]] = field(default_factory=dict)
+    expected: Mapping[str, Expected] = field(default_factory=dict)
     until: Until | None = None
     report: Report = lambda found: None
     trip: Trip | None = None
@@ -61,6 +83,7 @@ class Supervisor:
             Trip.GUARD: "came near to its limit and the excitation stopped",
             Trip.LIMIT: "passed its limit",
             Trip.STUCK: "stands still",
+            Trip.UNEXPECTED: "did not do what the step before predicted",
         }
         return f"{self.column} {words[self.trip]}"
 
@@ -75,8 +98,12 @@ class Supervisor:
         rows = 0
         for column in self.still_ticks.keys() | self.expected.keys():
             if column in block and (rows := block[column].size):
-                place = self._stands_still(column, np.asarray(block[column]))
+                x = np.asarray(block[column])
+                place = self._stands_still(column, x)
                 found += [] if place is None else [(place, Trip.STUCK, column)]
+                if (one := self.expected.get(column)) is not None:
+                    off = np.flatnonzero(one.left_by(x, self._rows))
+                    found += [(int(off[0]), Trip.UNEXPECTED, column)] if off.size else []
         self._rows += rows
         if not found or self.trip is not None:
             return None
@@ -92,9 +119,7 @@ class Supervisor:
         self._still[column] = (float(x[-1]), int(since[-1]))
         late = since > self.still_ticks.get(column, np.inf)
         if column in self.expected:
-            motion, least = self.expected[column]
-            now = np.minimum(self._rows + place, motion.size - 1)
-            late |= np.abs(motion[now] - motion[np.maximum(now - since, 0)]) > least
+            late |= stuck(self.expected[column].motion, self._rows + place, since, self.expected[column].least)
         first = np.flatnonzero(late)
         return int(first[0]) if first.size else None
 

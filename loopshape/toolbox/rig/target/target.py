@@ -169,9 +169,10 @@ def drive(
         for number in count(1):
             with armed.session.kept_alive(beat):
                 experiment = next(coming, None)
+                supervisor = None if experiment is None else supervise(experiment)
             if experiment is None:
                 break
-            recording, ended = _record(armed, experiment, number, keeper, supervise(experiment))
+            recording, ended = _record(armed, experiment, number, keeper, supervisor)
             with armed.session.kept_alive(beat):
                 yield recording
             if ended.reason not in (Reason.COMPLETE, Reason.STOPPED) and not _again(armed):

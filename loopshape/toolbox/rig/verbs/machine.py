@@ -24,7 +24,7 @@ from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import Rig, header, plan
 from loopshape.toolbox.rig.simulated import measure as recordings
 from loopshape.toolbox.rig.steps.course import Course
-from loopshape.toolbox.rig.steps.enough import Until
+from loopshape.toolbox.rig.steps.enough import Until, until_of
 from loopshape.toolbox.rig.steps.escalation import Escalation
 from loopshape.toolbox.rig.study import Study, merged_effects
 from loopshape.toolbox.rig.target.link import open_link
@@ -80,7 +80,7 @@ def measure(
     """
     file, folder, watcher = Path(study), Path(out), watch or Unwatched()
     wanted, plant = _asked(file, controllers, effects)
-    course = Course(wanted, plant, folder, watcher, _escalation(wanted, escalate), _until(until))
+    course = Course(wanted, plant, folder, watcher, _escalation(wanted, escalate), until_of(until))
     if decoupling is not None:
         wanted = replace(wanted, decoupling=decoupling)
     wanted = _with_diagram(wanted, diagram)
@@ -123,12 +123,6 @@ def _escalation(study: Study, asked: float | bool) -> Escalation | None:
         return None
     own = study.escalation or Escalation()
     return own if asked is True else replace(own, start_percent=float(asked))
-
-
-def _until(asked: Until | float | Sequence[Requirements] | None) -> Until | None:
-    if asked is None or isinstance(asked, Until):
-        return asked
-    return Until(std=float(asked)) if isinstance(asked, int | float) else Until(requirements=tuple(asked))
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from importlib import import_module
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from loopshape.toolbox.rig.files.measuring import marked
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
 from loopshape.toolbox.rig.steps.course import Course, StoppedAtLimitError
+from loopshape.toolbox.rig.steps.escalation import NOISE_PEAK, NOISE_SHARE
 from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.rig.target.acquisition import RATE_TICKS, Arrived
 from loopshape.toolbox.rig.target.blocks import own_radius
@@ -36,6 +38,8 @@ from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
 from loopshape.verbs.watch import Confirm, Motion, Watch
 
+READINGS = 50  # of the sensors, before anything is armed
+NOISE_TICKS = 100  # of a pulse response: longer ones are drift, not noise
 CIRCLE = 1.0 + 1e-6  # |z|: integrators, several at a place, lie on the unit circle within rounding
 
 
@@ -94,6 +98,7 @@ def _motion(
     pwm = header(study, plant).pwm or study.pwm
     wanted = configuration(identity, loops, settings, study.rate_hz, pwm, study.diagram)
     notes = (*_unverified(loops, wanted, verdict, allow_unverified), *_older_target(identity))
+    notes += tuple(_loud(session, loops, wanted, allow_unverified))
     motion = Motion(identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one), notes)
     _refuse_signals_beyond_limits(motion, wanted)
     return motion, wanted
@@ -152,6 +157,48 @@ def _runs_the_same(theirs: Controller | GainScheduled, ours: Controller | None) 
     return theirs.rate_hz == ours.rate_hz and np.array_equal(theirs.biquads(), ours.biquads())
 
 
+def _loud(
+    session: Session, loops: Sequence[LoopSetup], wanted: Configuration, allowed: bool
+) -> list[str]:  # fmt: skip
+    """Commands of which noise at rest alone would take too much, a sentence each; refuses them unless allowed.
+
+    The sensors are read as they are, nothing being armed: their noise by the differences of readings, taken as white,
+    through each loop's controller (the sum of squares of its pulse response; schedules and diagrams are left out).
+    """
+    rows = []
+    for _ in range(READINGS):
+        rows.append(session.status().sensors)
+        sleep(2.0 / session.identity.rate_hz)
+    readings = np.array(rows)
+    noise = np.sqrt(0.5 * np.mean(np.diff(readings, axis=0) ** 2, axis=0))
+    squares = np.array([0.0 if loop.controller is None else _noise_gain(loop.controller) for loop in loops])
+    power = wanted.mixing**2 @ (squares * (wanted.outputs**2 @ noise**2))
+    loud = []
+    for k, column in enumerate(session.identity.commands):
+        low, high, _ = wanted.limits[len(noise) + k]
+        peak = NOISE_PEAK * float(np.sqrt(power[k]))
+        if peak > NOISE_SHARE * 0.5 * (high - low):
+            loud.append(
+                f"{column}: noise of the sensors at rest alone would move it by {peak:.3g} of {low:g} to {high:g}"
+            )
+    if loud and not allowed:
+        raise WrongUseError(
+            "the controllers would turn the noise at rest into commands", "; ".join(loud),
+            "filter the controller's high frequencies (a low_pass), or allow it: --allow-unverified",
+        )  # fmt: skip
+    return loud
+
+
+def _noise_gain(controller: Controller) -> float:
+    """Variance of what a controller makes of white noise of variance 1 within `NOISE_TICKS`, drifts left out."""
+    from scipy.signal import sosfilt
+
+    sections = np.insert(controller.biquads(), 3, 1.0, axis=1)
+    pulse = np.zeros(NOISE_TICKS)
+    pulse[0] = 1.0
+    return float(np.sum(sosfilt(sections, pulse) ** 2))
+
+
 def _older_target(identity: Identity) -> list[str]:
     note = "the target is older than this host: recorded bytes can arm it; build it anew from this version's sources"
     return [] if identity.guarded else [note]
@@ -196,6 +243,7 @@ def _drive(
 
     assert study.target is not None
     import_module("pyarrow.parquet")  # now: it takes longer than a watchdog waits
+    course.ready(todo)
     with watch.progress("measure", len(todo)) as step:
         armed = arm(session, study.target, todo[0].loops, wanted)
         with vented_on_error(session), closing(drive(armed, course.coming(todo), keeper, course.supervisor)) as made:

@@ -6,6 +6,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from axis_study import experiment, study_text, target, write_study
+from commands import ROOT
+from emulated_cases import needs_a_compiler
 from python_target_line import Pty, Running
 
 import loopshape as ls
@@ -125,3 +127,67 @@ def test_a_target_climbs_and_ends_by_itself(tmp_path):
     angle = np.asarray(run.recording("one").columns["angle1_rad"])
     assert np.abs(angle - 0.1).max() < 0.2 * 0.875
     assert run.recording("one").info.ended_early is None
+
+
+def test_a_controller_that_would_scream_at_rest_is_refused_before_it_is_armed(tmp_path):
+    text = study_text(experiment("one"), drive="low_v = -3.0, high_v = 3.0")
+    study = write_study(tmp_path, text)
+
+    def noisy():
+        made = target()
+        made.machine.noise_rad = 0.05
+        return made
+
+    with Running(noisy, line=Pty()) as running:
+        with pytest.raises(ls.errors.WrongUseError, match="drive1_v: noise of the sensors at rest alone"):
+            ls.rig.measure(study, tmp_path / "run", port=running.port, arm=True)
+        assert ls.rig.connect(running.port).state() == "idle"
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_base_motion_goes_on_and_leaves_the_frequencies_alone(tmp_path):
+    study = axis(tmp_path, amplitude=0.2)
+    plain = ls.frf(ls.rig.measure(study, tmp_path / "plain", escalate=50.0))
+    study.write_text(study.read_text() + "\n[escalate]\nstart_percent = 50.0\nbase_percent = 300.0\n")
+    run = ls.rig.measure(study, tmp_path / "based", escalate=True)
+    moved = run.recording("axis").columns["reference_m"]
+    assert np.ptp(moved) == pytest.approx(2 * 3 * 0.2e-3, rel=1e-3)
+    based = ls.frf(run)
+    common = np.isin(plain.frequency_hz, based.frequency_hz) & plain.valid
+    other = based.siso[np.isin(based.frequency_hz, plain.frequency_hz[common])]
+    np.testing.assert_allclose(np.abs(other / plain.siso[common]), 1.0, atol=0.1)
+
+
+def test_a_mean_outside_its_travel_window_ends_all(tmp_path):
+    study = axis(tmp_path)
+    study.write_text(study.read_text() + "\n[escalate.travel]\nposition = { low_mm = 1.0, high_mm = 2.0 }\n")
+    with pytest.raises(ls.errors.RigError, match="left its travel window"):
+        ls.rig.measure(study, tmp_path / "run", escalate=True)
+    assert events(tmp_path / "run", "step")[-1]["stop"] == "drifted"
+
+
+def test_a_sweep_and_a_loop_without_requirements_are_refused(tmp_path):
+    study = axis(tmp_path)
+    with pytest.raises(ls.errors.WrongUseError, match="no requirements of loop 'position'"):
+        ls.rig.measure(study, tmp_path / "run", until=[ls.Requirements("other", phase_margin_deg=30.0)])
+    text = study.read_text().replace("period_s = 1.0\nperiods = 20", "duration_s = 20.0").replace("multisine", "sweep")
+    study.write_text(text)
+    with pytest.raises(ls.errors.WrongUseError, match="a sweep comes to each frequency once"):
+        ls.rig.measure(study, tmp_path / "run", until=0.02)
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_emulated_arm_climbs_and_ends_by_itself(tmp_path):
+    needs_a_compiler()
+    text = (ROOT / "examples" / "rig" / "study.toml").read_text()
+    text = text.replace("period_s = 10.0, periods = 6, ramp_s = 4.0", "period_s = 2.5, periods = 24, ramp_s = 1.0")
+    text = text.replace("f_low_hz = 0.2, f_high_hz = 20.0", "f_low_hz = 0.4, f_high_hz = 4.0")
+    text = text.replace(", { theta2_deg = 15.0, p_ab_bar = 1.0 }", "")
+    study, out = write_study(tmp_path, text), tmp_path / "run"
+    with ls.rig.emulator() as port:
+        run = ls.rig.measure(study, out, port=port, arm=True, escalate=20.0, until=0.02)
+    assert events(out, "step")[-1]["stop"] in ("accurate", "full_amplitude", "limit_near")
+    (enough,) = events(out, "enough")
+    assert enough["state"] == "accurate"
+    rows = np.asarray(run.recording("angle").columns["t_s"]).size
+    assert enough["elapsed_s"] * 1000.0 < rows < 60_000
