@@ -18,10 +18,10 @@ from loopshape.data.signal.multisine import Multisine
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.rig.settings import Limit
 from loopshape.toolbox.rig.simulated import plan
-from loopshape.toolbox.rig.steps.course import Course, StoppedAtLimitError, cut
+from loopshape.toolbox.rig.steps.course import Course, StoppedAtLimitError
 from loopshape.toolbox.rig.steps.enough import State, Until, look
 from loopshape.toolbox.rig.steps.escalation import Escalation
-from loopshape.toolbox.rig.steps.supervisor import Supervisor
+from loopshape.toolbox.rig.steps.supervisor import Supervisor, cut
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.toolbox.servo.axis import ServoAxis
 from loopshape.verbs.watch import Unwatched

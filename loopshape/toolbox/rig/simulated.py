@@ -19,6 +19,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.plant import Plant
 from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.steps.supervisor import within
 from loopshape.toolbox.rig.study import ExperimentTemplate, Setpoint, Study
 
 
@@ -269,4 +270,5 @@ def measure(
     changes = dict(study.changes) | moves(plant, study.effects)
     for k in range(0, len(todo), workers):
         few = [experiment(study, plant, planned) for planned in todo[k : k + workers]]
-        yield from plant.simulate(few, solver=study.solver, changes=changes, threads=workers, states=states)
+        made = plant.simulate(few, solver=study.solver, changes=changes, threads=workers, states=states)
+        yield from (within(one, study.limits) for one in made) if study.limits else made

@@ -17,6 +17,7 @@ from loopshape.data.signal.excitation import ramp
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.io.run.journal import note
+from loopshape.io.run.run_folder import finished
 from loopshape.toolbox.rig.effects import moves
 from loopshape.toolbox.rig.settings import Limit
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment
@@ -36,7 +37,7 @@ from loopshape.toolbox.rig.steps.escalation import (
     exponent,
     tested,
 )
-from loopshape.toolbox.rig.steps.supervisor import Expected, Supervisor
+from loopshape.toolbox.rig.steps.supervisor import Expected, Supervisor, cut
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.watch import Watch
 
@@ -79,8 +80,8 @@ class Course:
 
     @property
     def plain(self) -> bool:
-        """Whether nothing but the study's own recordings comes, none of which anything could end."""
-        return self._escalation is None and self._until is None and (self._study.target is not None or not self.limits)
+        """Whether nothing but the study's own recordings comes, whole or up to a limit."""
+        return self._escalation is None and self._until is None
 
     @property
     def in_step(self) -> bool:
@@ -122,12 +123,13 @@ class Course:
         """Steps up to the largest amplitude at which the recording may be made, in percent."""
         commands = self._commands(planned)
         self._step = True
-        yield self._resting(planned)
+        first = self._free(planned.name)
+        yield self._resting(planned, first)
         assert self._last is not None
         step, seen = at_rest(self._last, self.limits, commands)
         self._past = (seen,)
         self._report(planned, step)
-        percent, best, number = settings.start_percent, 0.0, 0
+        percent, best, number = settings.start_percent, 0.0, first
         loop = next(one for one in planned.loops if one.name == planned.template.excites)
         while step.stop is None:
             number += 1
@@ -161,7 +163,12 @@ class Course:
         note(self._folder, "look", **found.to_dict())
         self._watch.say(found.sentence)
 
-    def _resting(self, planned: Planned) -> Experiment:
+    def _free(self, name: str) -> int:
+        """The number of the first step: those of a climb that was interrupted are kept."""
+        steps = [one.removeprefix(f"{name}-a") for one in finished(self._folder) if one.startswith(f"{name}-a")]
+        return 1 + max((int(one) for one in steps if one.isdigit()), default=-1)
+
+    def _resting(self, planned: Planned, number: int) -> Experiment:
         """The step without excitation, as long as a step."""
         t = planned.template
         signal: Any = t.excitation
@@ -169,7 +176,7 @@ class Course:
             t, excitation=None, excites=None, excites_also={}, kind="none", role="validation", lead_s=0.0, tail_s=0.0,
             duration_s=max(1.0, float(signal.period_s or 1.0)),
         )  # fmt: skip
-        return experiment(self._study, self._plant, replace(planned, template=rest, name=f"{planned.name}-a0"))
+        return experiment(self._study, self._plant, replace(planned, template=rest, name=f"{planned.name}-a{number}"))
 
     def _made(self, planned: Planned, percent: float, number: int | None = None) -> Experiment:
         """The experiment at so many percent of its amplitude; a step where it has a number."""
@@ -333,13 +340,3 @@ def _refuse_endless(template: ExperimentTemplate, until: Until) -> None:
             f"{template.name!r} has no verdict that could end it", f"no requirements of loop {template.excites!r}",
             f"they are of {', '.join(one.loop for one in until.requirements)}",
         )  # fmt: skip
-
-
-def cut(recording: Recording, n: int, why: str | None) -> Recording:
-    """The first n rows; `why` says that the recording ended early."""
-    info = (
-        recording.info
-        if why is None
-        else replace(recording.info, ended_early=f"{why} at {n / recording.rate_hz:.3f} s")
-    )
-    return Recording(info, recording.rate_hz, {name: np.asarray(x)[:n] for name, x in recording.columns.items()})

@@ -152,3 +152,26 @@ class Supervisor:
         if n is not None and n < self.e.samples:
             self._thread = Thread(target=self.looked, args=(columns(n),), daemon=True)
             self._thread.start()
+
+
+def within(recording: Recording, limits: Mapping[str, Limit]) -> Recording:
+    """A recording up to where the first limit is passed, as a target ends it."""
+    found: list[tuple[int, str]] = []
+    for column in limits.keys() & recording.columns.keys():
+        x = np.asarray(recording.columns[column])
+        over = np.flatnonzero(~((x >= limits[column].low) & (x <= limits[column].high)))
+        found += [(int(over[0]), column)] if over.size else []
+    if not found:
+        return recording
+    place, column = min(found)
+    return cut(recording, place + 1, f"{column} passed its limit")
+
+
+def cut(recording: Recording, n: int, why: str | None) -> Recording:
+    """The first n rows; `why` says that the recording ended early."""
+    info = (
+        recording.info
+        if why is None
+        else replace(recording.info, ended_early=f"{why} at {n / recording.rate_hz:.3f} s")
+    )
+    return Recording(info, recording.rate_hz, {name: np.asarray(x)[:n] for name, x in recording.columns.items()})

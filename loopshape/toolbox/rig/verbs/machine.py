@@ -105,7 +105,7 @@ def measure(
         try:
             if not course.plain:
                 for e in course.coming([planned for planned in todo if planned.name not in done]):
-                    add_recording(folder, made := course.simulated(e, states), again=again or course.in_step)
+                    add_recording(folder, made := course.simulated(e, states), again=again)
                     course.taken(made)
                     step(made.info.name)
                 return read_run(folder)

@@ -1,6 +1,7 @@
 """`measure --escalate` and `--until`: steps judged before the next, on a simulated axis and on a target."""
 
 import json
+from contextlib import nullcontext
 from itertools import pairwise
 
 import numpy as np
@@ -191,3 +192,32 @@ def test_the_emulated_arm_climbs_and_ends_by_itself(tmp_path):
     assert enough["state"] == "accurate"
     rows = np.asarray(run.recording("angle").columns["t_s"]).size
     assert enough["elapsed_s"] * 1000.0 < rows < 60_000
+
+
+def test_a_simulated_recording_ends_at_a_limit(tmp_path):
+    one = ls.rig.measure(axis(tmp_path), tmp_path / "run").recording("axis")
+    assert "position_m passed its limit" in one.info.ended_early
+    x = np.abs(np.asarray(one.columns["position_m"]))
+    assert x[-1] > 4e-3
+    assert x[:-1].max() <= 4e-3
+
+
+def test_a_climb_that_was_interrupted_begins_again_and_a_finished_one_is_left_alone(tmp_path):
+    class Stop:
+        def say(self, line):
+            if "axis-a2" in line:
+                raise KeyboardInterrupt
+
+        def warn(self, lines): ...
+
+        def progress(self, label, total):
+            return nullcontext(lambda word: None)
+
+    study, out = axis(tmp_path), tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        ls.rig.measure(study, out, escalate=1.0, watch=Stop())
+    ls.rig.measure(study, out, escalate=1.0)
+    assert [step["percent"] for step in events(out, "step")[:5]] == [0.0, 1.0, 2.0, 0.0, 1.0]
+    written = (out / "axis.parquet").stat().st_mtime_ns
+    ls.rig.measure(study, out, escalate=1.0)
+    assert (out / "axis.parquet").stat().st_mtime_ns == written
