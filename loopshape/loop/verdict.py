@@ -338,10 +338,8 @@ def _worst_line(limit: Limit, required: Mapping[str, float], found: Mapping[str,
 
 def _measured_to_hz(limit: Limit, required: float, margin: Margins) -> float | None:
     """Up to where to measure what a bound leaves open, or below its frequency down to where."""
-    read = margin[limit.name]
-    if read.at_hz is not None and read.at_hz >= margin.last_hz * (1.0 - 1e-9):
-        return decided_at_hz(limit.name, required, margin)
-    return LOWER * (read.at_hz or read.bound or 0.0)
+    at_hz = margin[limit.name].at_hz or 0.0
+    return decided_at_hz(limit.name, required, margin) if at_hz >= margin.last_hz * (1.0 - 1e-9) else LOWER * at_hz
 
 
 def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> RequirementResult:

@@ -145,12 +145,11 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
 def _decides(line: RequirementResult) -> str:
     """How much more measuring would decide an undecided line, or up to which frequency."""
     if line.outcome is Outcome.UNDECIDED and line.bound is not None:
-        to_hz = line.measure_to_hz
-        if to_hz is not None and to_hz < (line.at_hz or line.bound):
+        at_hz, to_hz = line.at_hz or 0.0, line.measure_to_hz
+        if to_hz is not None and to_hz < at_hz:
             return f"bounded by what lies below the first frequency; measure down to {to_hz:.3g} Hz"
-        return (
-            f"bounded by what lies above the last frequency; measure {f'up to {to_hz:.3g} Hz' if to_hz else 'higher'}"
-        )
+        higher = "higher" if to_hz is None else f"up to {to_hz:.3g} Hz"
+        return f"bounded by what lies above the last frequency; measure {higher}"
     if line.longer is None:
         return ""
     return f"{line.longer:.2g} times the data would decide" if line.longer < 100.0 else "on the limit"

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.toolboxes import function_at
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray, db
 from loopshape.data.control.controller import controller_bandwidth_hz
 from loopshape.data.requirement.limits_over import Mask
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
@@ -32,6 +33,13 @@ Interval = tuple[float, float]
 #: limits that the kernel reads, each with its column
 COLUMN_OF = {x.name: int(getattr(kernel, x.column)) for x in LIMIT_OF.values() if x.column}
 _COLUMNS = tuple((LIMIT_OF[name], k) for name, k in COLUMN_OF.items())
+
+
+#: what a crossover out of sight leaves open
+_NEAR_MINUS_ONE = (
+    "gain_margin_db", "modulus_margin", "disk_margin", "sensitivity_peak_db", "complementary_peak_db",
+    "control_peak_db", "process_peak_db",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -168,15 +176,16 @@ def margins(
     ends = _values(low), _values(high)
     pairs = {} if j.deviations is None else {n: (ends[0][n], ends[1][n]) for n in ends[0] if n in ends[1]}
     intervals = {n: (min(pair), max(pair)) for n, pair in pairs.items()}
-    values, places = _values(value), _places(at[0], float(j.f[0]))
-    if not in_sight(loop):
-        _not_measured(values, bounds, intervals, places, float(j.f[0]))
+    known = _Found(_values(value), bounds, intervals, _places(at[0], float(j.f[0])))
+    if first is j and not is_large(loop) and j.f.size > 1 and j.f[0] > kernel.AT_ZERO * j.f[1]:
+        _bounded_below(loop, j, known)
+    _bounded_above(loop, j, known)
     made = Margins.of(
-        values,
+        known.values,
         stability.outcome,
-        intervals=intervals,
-        at_hz=places,
-        bounds=bounds,
+        intervals=known.intervals,
+        at_hz=known.at_hz,
+        bounds=known.bounds,
         crossings_hz=crossings,
         phase_crossings_hz=phase_crossings,
         stability_reason=stability.reason,
@@ -196,29 +205,65 @@ def controller_bandwidth(loop: Loop) -> Reading:
     return Reading(controller_bandwidth_hz(loop.controller))
 
 
-def _not_measured(
-    values: dict[str, float],
-    bounds: dict[str, float],
-    intervals: dict[str, Interval],
-    places: dict[str, float],
-    first_hz: float,
-) -> None:
-    """Leave out what belongs to a crossover below the first line: nan, bandwidths from 0 up to that line, no peaks.
+class _Found(NamedTuple):
+    """Readings by limit: values, how good bounds may be, intervals, places."""
 
-    |S| has no end there, so |CS| and |PS| have none; the best that they may be is what the lines show.
+    values: dict[str, float]
+    bounds: dict[str, float]
+    intervals: dict[str, Interval]
+    at_hz: dict[str, float]
+
+    def worst(self, name: str, value: float, at_hz: float, best: float | None = None) -> None:
+        """Make a reading a bound: no worse than `value`, at best as it was read, or as `best`."""
+        self.bounds[name] = self.bounds.get(name, self.values[name]) if best is None else best
+        if name in self.intervals and value != self.values[name]:
+            self.intervals[name] = (value, value)
+        self.values[name], self.at_hz[name] = value, at_hz
+
+    def nothing(self, name: str) -> None:
+        """Take a reading away."""
+        self.values[name] = float("nan")
+        self.bounds.pop(name, None)
+        self.intervals.pop(name, None)
+
+
+def _bounded_below(loop: Loop, j: _Judged, found: _Found) -> None:
+    """What may lie below the first line, where no model tells it and |L| is not large there.
+
+    |L| stays above its value there, so |PS| stays below |T|/|C|. Bandwidths of which the lines show nothing lie
+    anywhere below them. A crossover out of sight leaves no phase, delay and reduction margin, and may hide the first
+    crossing, the gain margin, and peaks of |S|, |CS| and |PS| of any size.
     """
+    first_hz, first, hidden = float(j.f[0]), float(abs(j.L[0])), not in_sight(loop)
+    for name in ("bandwidth_hz", "sensitivity_bandwidth_hz"):
+        if found.values[name] == 0.0 or hidden:
+            found.worst(name, 0.0, first_hz, max(found.values[name], first_hz))
+    if found.values["complementary_bandwidth_hz"] == 0.0:
+        found.worst("complementary_bandwidth_hz", 0.0, first_hz, first_hz)
+    if not hidden:
+        C = loop.controller.response(first_hz * BELOW_RATIOS)
+        peak_db = float(db(first / max(first - 1.0, 1e-9) / np.abs(C).min()))
+        if peak_db > found.values["process_peak_db"]:
+            found.worst("process_peak_db", peak_db, first_hz)
+        return
+    for name in _NEAR_MINUS_ONE:
+        found.worst(name, 0.0 if LIMIT_OF[name].sense == "at_least" else np.inf, first_hz)
     for limit in LIMITS:
         if limit.crossing:
-            values[limit.name] = float("nan")
-            bounds.pop(limit.name, None)
-            intervals.pop(limit.name, None)
-    for name in ("bandwidth_hz", "sensitivity_bandwidth_hz", "complementary_bandwidth_hz"):
-        if values[name] == 0.0:
-            bounds[name] = first_hz
-    for name in ("control_peak_db", "process_peak_db"):
-        bounds[name] = bounds.get(name, values[name])
-        values[name], places[name] = np.inf, first_hz
-        intervals |= {name: (np.inf, np.inf)} if name in intervals else {}
+            found.nothing(limit.name)
+
+
+def _bounded_above(loop: Loop, j: _Judged, found: _Found) -> None:
+    """Above the last line |L| stays below its last value, and |P| too: how far |T| may still rise, and |PS|."""
+    last_hz, last = float(j.f[-1]), max(float(abs(j.L[-1])), loop.largest_above)
+    if not loop.above_hz.size:
+        return
+    room, name = max(1.0 - last, 1e-9), "complementary_bandwidth_hz"
+    if last / room >= np.sqrt(0.5):
+        found.worst(name, found.values[name], last_hz, np.inf)
+    peak_db = float(db(abs(j.L[-1] / j.C[-1]) / room))
+    if peak_db > found.values["process_peak_db"]:
+        found.worst("process_peak_db", peak_db, last_hz)
 
 
 def _judged(loop: Loop) -> _Judged:

@@ -40,11 +40,11 @@ def poles_at_0(loop: Loop) -> int:
 def in_sight(loop: Loop) -> bool:
     """Whether the lines show where |L| falls through 1 for the first time, or tell that it does not do so below them.
 
-    They do where |L| starts at 1 or above. Where it starts below, all small models of the lowest lines, one of them
-    simple unless L falls to 0 Hz and stays `SMALL`, must have it reach 1 at most a third of an octave lower, or stay
-    below 1 down to 0 Hz in a loop without integrators.
+    They do where |L| starts at 1 or above and does not fall towards 0 Hz. Else all small models of the lowest lines,
+    one of them simple unless L falls to 0 Hz and stays `SMALL`, must have it reach 1 at most a third of an octave
+    lower, or stay below 1 down to 0 Hz in a loop without integrators.
     """
-    if abs(loop.L[0]) >= 1.0:
+    if abs(loop.L[0]) >= 1.0 and slope_of(loop) > -AGREE:
         return True
     below = [np.abs(L) for L in below_lines(loop, low_hz(loop))]
     largest = max((x.max() for x in below), default=np.inf)

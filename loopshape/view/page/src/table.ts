@@ -115,7 +115,7 @@ export class RequirementTable {
     const waits = limit.name === DETUNING && !settled;
     cells.outcome.replaceChildren(badge(waits ? null : row.outcome));
     if (row.bound !== null && row.outcome === "undecided") {
-      cells.outcome.append(el("small", {}, "decided above the last frequency"));
+      cells.outcome.append(el("small", {}, "decided beyond the measured lines"));
     }
     if (Number.isNaN(row.value) && !waits) cells.outcome.append(el("small", {}, "known where stability is decided"));
   }

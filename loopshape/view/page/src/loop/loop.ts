@@ -100,9 +100,9 @@ export interface Judged {
 /** Whether the lines show where |L| first falls through 1, or tell that it does not do so below them (`in_sight`). */
 export function inSight(loop: Loop): boolean {
   const { point, f, L } = loop;
-  if (Math.hypot(L.re[0], L.im[0]) >= 1) return true;
+  const { extrapolated_below, far_below, agree } = loop.plant.source.constants;
+  if (Math.hypot(L.re[0], L.im[0]) >= 1 && slopeOf(loop) > -agree) return true;
   const below = belowLines(loop).map(magnitudes);
-  const { extrapolated_below, far_below } = loop.plant.source.constants;
   const largest = below.length ? Math.max(...below.map((size) => Math.max(...size))) : Infinity;
   const falls = loop.integrators < 0 && largest < far_below;
   if (!falls && !point.simple) return false;

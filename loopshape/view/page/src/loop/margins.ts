@@ -1,12 +1,12 @@
 // Loop -> margins, bias-corrected for noise, with 95 % intervals from draws (Python: loop/margins.py).
 
-import { clip, db, fromDb, geometric, placeIn, type Complex, type Real } from "../numbers/arrays";
+import { clip, db, fromDb, geometric, magnitudes, placeIn, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import { sumsOf, type Draws } from "../numbers/dense";
 import type { Detuning } from "./detuning";
 import type { ReadLimit } from "../payload";
 import type { Reader } from "./limits";
-import { inSight, largestAbove, readings, type Judged, type Loop } from "./loop";
+import { inSight, isLarge, largestAbove, readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
 
@@ -62,15 +62,15 @@ export function margins(loop: Loop, reader: Reader): Margins {
     }
   }
   const ends = bounds(loop, first, found, reader);
-  if (!inSight(loop)) notMeasured(values, ends, intervals, first.f[0], reader);
+  const made = { values, intervals, bounds: ends, at_hz: places(at, first.f[0], reader) };
+  const told = first.f.length > loop.dense.f.length;
+  if (!told && !isLarge(loop) && first.f.length > 1 && first.f[0] > loop.plant.source.constants.at_zero * first.f[1]) boundedBelow(loop, first, made, reader);
+  boundedAbove(loop, first, made);
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
   values.detuning_percent = NaN;
   return {
-    values,
-    intervals,
-    bounds: ends,
+    ...made,
     missing_hz: loop.point.gaps.filter((gap) => gap.missing).map((gap) => gap.hz),
-    at_hz: places(at, first.f[0], reader),
     crossings_hz: unitCrossings(first.f, first.L),
     phase_crossings_hz: axisCrossings(first.f, first.L),
     stability: null,
@@ -79,23 +79,49 @@ export function margins(loop: Loop, reader: Reader): Margins {
   };
 }
 
-/** Leave out what belongs to a crossover below the first line: nothing, bandwidths from 0 up to that line, no peaks. */
-function notMeasured(
-  values: Record<string, number>, ends: Record<string, number>, intervals: Record<string, Interval>, first_hz: number, { limits }: Reader,
-): void {
+type Found = Pick<Margins, "values" | "intervals" | "bounds" | "at_hz">;
+
+/** Make a reading a bound: no worse than `value`, at best as it was read, or as `best`. */
+function worst(found: Found, name: string, value: number, at_hz: number, best = found.bounds[name] ?? found.values[name]): void {
+  found.bounds[name] = best;
+  if (found.intervals[name] && value !== found.values[name]) found.intervals[name] = [value, value];
+  [found.values[name], found.at_hz[name]] = [value, at_hz];
+}
+
+const size = ({ re, im }: Complex, k: number): number => Math.hypot(re[k], im[k]);
+
+/** What may lie below the first line, where no model tells it and |L| is not large there (`_bounded_below`). */
+function boundedBelow(loop: Loop, j: Judged, found: Found, { limits }: Reader): void {
+  const [first_hz, first, hidden] = [j.f[0], size(j.L, 0), !inSight(loop)];
+  for (const name of ["bandwidth_hz", "sensitivity_bandwidth_hz"]) {
+    if (found.values[name] === 0 || hidden) worst(found, name, 0, first_hz, Math.max(found.values[name], first_hz));
+  }
+  if (found.values.complementary_bandwidth_hz === 0) worst(found, "complementary_bandwidth_hz", 0, first_hz, first_hz);
+  if (!hidden) {
+    const below = Float64Array.from(loop.plant.source.constants.below_ratios, (share) => first_hz * share);
+    const least = Math.min(...magnitudes(control.response(loop.controller, below)));
+    const peak = db(first / Math.max(first - 1, 1e-9) / least);
+    if (peak > found.values.process_peak_db) worst(found, "process_peak_db", peak, first_hz);
+    return;
+  }
+  for (const name of ["gain_margin_db", "modulus_margin", "disk_margin"]) worst(found, name, 0, first_hz);
+  for (const name of ["sensitivity", "complementary", "control", "process"]) worst(found, `${name}_peak_db`, Infinity, first_hz);
   for (const { name } of limits.filter(({ crossing }) => crossing)) {
-    values[name] = NaN;
-    delete ends[name];
-    delete intervals[name];
+    found.values[name] = NaN;
+    delete found.bounds[name];
+    delete found.intervals[name];
   }
-  for (const name of ["bandwidth_hz", "sensitivity_bandwidth_hz", "complementary_bandwidth_hz"] as const) {
-    if (values[name] === 0) ends[name] = first_hz;
-  }
-  for (const name of ["control_peak_db", "process_peak_db"]) {
-    ends[name] ??= values[name];
-    values[name] = Infinity;
-    if (intervals[name]) intervals[name] = [Infinity, Infinity];
-  }
+}
+
+/** How far |T| may still rise above the last line, and |PS| (`_bounded_above`). */
+function boundedAbove(loop: Loop, j: Judged, found: Found): void {
+  const end = j.f.length - 1;
+  const last = Math.max(size(j.L, end), largestAbove(loop));
+  if (!aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz).length) return;
+  const room = Math.max(1 - last, 1e-9);
+  if (last / room >= Math.SQRT1_2) worst(found, "complementary_bandwidth_hz", found.values.complementary_bandwidth_hz, j.f[end], Infinity);
+  const peak = db(size(j.L, end) / size(j.C, end) / room);
+  if (peak > found.values.process_peak_db) worst(found, "process_peak_db", peak, j.f[end]);
 }
 
 const grids = new WeakMap<Judged, kernel.Grid>();

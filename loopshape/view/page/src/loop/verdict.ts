@@ -42,7 +42,9 @@ export function pointOutcome(m: Margins, limit: Limit, required: number): Outcom
   if (best !== undefined) [low, high] = least ? [low, Math.max(high, best)] : [Math.min(low, best), high];
   if (least ? low >= required : high <= required) return "passed";
   const at = m.at_hz[limit.name] ?? 0;
-  const perhaps = (least ? high >= required : low <= required) || m.missing_hz.some(([from, to]) => from < at && at < to);
+  const later = limit.name === "complementary_bandwidth_hz"; // |T| may fall for the last time in a hole further up
+  const within = m.missing_hz.some(([from, to]) => (later ? required < to : from < at && at < to));
+  const perhaps = (least ? high >= required : low <= required) || within;
   return perhaps ? "undecided" : "failed";
 }
 
