@@ -11,7 +11,7 @@ from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Sampled, Staircase, Sweep
 from loopshape.data.signal.experiment import Experiment, LoopSetup
-from loopshape.data.signal.recording import RecordingInfo
+from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.settings import Settings
 from loopshape.identify.structures import Integrator, Rational, ThirdOrder
 from loopshape.loop.loop import Loop
@@ -42,6 +42,7 @@ __all__ = [
     "Profile",
     "Rational",
     "Reach",
+    "Recording",
     "RecordingInfo",
     "RequirementResult",
     "Sampled",
