@@ -10,7 +10,10 @@ lies there is told, and above, the interval reaches to what P = 0 and P = consta
 
 Peaks are those of Gaussian noise with this rms over a record as long as the disturbance's: level a is crossed
 (rate of the signal)/(2 pi rms) exp(-a²/2 rms²) times a second upward (Rice 1945), and by no more samples than there
-are. What an actuator changes that saturates within `control_range` is simulated (`saturated`).
+are. A record of bursts says more than its spectrum: how much the mean square of a signal scatters from block to block,
+beside that of noise with the same spectrum and phases at random (Theiler and others, Physica D 58, 1992), and how
+large it gets in its blocks (exponential exceedances: Pickands, Annals of Statistics 3, 1975). What an actuator changes
+that saturates within `control_range` is simulated (`saturated`).
 """
 
 from __future__ import annotations
@@ -40,6 +43,14 @@ DISTURBED = tuple(limit.name for limit in LIMITS if limit.disturbed)
 OUTSIDE = 0.1
 #: share of a record at each of its ends that its transform blurs
 ENDS = 0.1
+#: parts of a record that tell how it scatters, draws of noise beside it, and the ratio that noise hardly comes to (chi
+#: square of 23 degrees of freedom: 1.5 in 6 %); so many of the largest tell how large it gets
+BLOCKS, SURROGATES, BURSTS, TAIL = 24, 8, 1.5, 6
+#: and the ratio from which on a record is unlike noise
+UNLIKE = 3.0
+#: an event so many times as large as those about it let expect is one of its own
+ALONE = 1.5
+NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -93,8 +104,8 @@ class _Carried:
         """S under the new controller over S under the old one."""
         return np.asarray((1.0 + self.C0 * P) / (1.0 + self.C1 * P))
 
-    def through(self, weight: Array) -> _Power:
-        """Mean square of the error times a filter of squared magnitude `weight` (nf,)."""
+    def through(self, weight: Array, bursts: float = 1.0) -> _Power:
+        """Mean square of the error times a filter of squared magnitude `weight` (nf,); it scatters `bursts` times."""
         P, power, scatter = self.there.response, self.power * weight, self.scatter * weight**2
         ratio = self.ratio(P)
         toward = P * (self.C0 - self.C1) / (1.0 + self.C1 * P) ** 2  # by a relative error of P
@@ -102,7 +113,7 @@ class _Carried:
         mean = float(power @ kept)
         each = self.there.collected(power * ratio.conj() * toward, self.relative.size)
         variance = 2.0 * self.overlap * float(np.sum(np.abs(each) ** 2 * self.relative))
-        variance += float(scatter @ np.abs(ratio) ** 4)
+        variance += bursts * float(scatter @ np.abs(ratio) ** 4)
         above = self.f > self.band_hz[1]
         flat = np.abs(self.ratio(self.last)) ** 2
         apart = [float(power[above] @ (x - kept)[above]) for x in (np.ones(self.f.size), flat)]
@@ -169,15 +180,18 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     `saturation_percent` is read.
     """
     carried, rate_hz = _carried(loop, disturbance), loop.controller.rate_hz
-    error, control, rate, jerk = (carried.through(weight) for weight in _weights(carried, rate_hz))
     samples = disturbance.duration_s * rate_hz
     own = _recorded(loop, disturbance)
+    signals = (own.error, own.control, own_rate := np.diff(own.control) * rate_hz, np.zeros(0))
+    bursts = [1.0 if disturbance.repeats else _bursts(x) for x in signals]
+    weights = zip(_weights(carried, rate_hz), bursts, strict=True)
+    error, control, rate, jerk = (carried.through(*both) for both in weights)
     moving = slice(0, own.error.size // 2)
     if disturbance.repeats:
         error, control = error.of_size(own.error[moving]), control.of_size(own.control[moving])
     peaks = (
-        _Peak.of(control, rate, samples, rate_hz, own.control, repeats=disturbance.repeats),
-        _Peak.of(rate, jerk, samples, rate_hz, np.diff(own.control) * rate_hz, repeats=disturbance.repeats),
+        _Peak.of(control, rate, samples, rate_hz, own.control, bursts[1], repeats=disturbance.repeats),
+        _Peak.of(rate, jerk, samples, rate_hz, own_rate, bursts[2], repeats=disturbance.repeats),
     )
     unlike = any(peak.unlike for peak in peaks)
     changed, readings = (Factors(),) * 3, dict[str, Reading]()
@@ -234,6 +248,33 @@ def _changed(
     loops = Loops.of(*(_padded(x, n) for x in (C1 * P / (1.0 + C1 * P), P / (1.0 + C1 * P))))
     middle, low, high = (factors(records, loops, actuator, float(x / size), counted=counted) for x in rms)
     return middle, low, high
+
+
+def _bursts(signal: Array) -> float:
+    """How many times as much the mean square of a signal scatters as that of noise with its spectrum; 1 at least."""
+    n = signal.size // (2 * BLOCKS) * 2 * BLOCKS
+    if n < 8 * BLOCKS:
+        return 1.0
+    size, rng = np.abs(np.fft.rfft(signal[:n])), np.random.default_rng(0)
+    noise = np.fft.irfft(size * np.exp(2j * np.pi * rng.random((SURROGATES, size.size))), n)
+    scatter = [np.var(np.mean(x.reshape(BLOCKS, -1) ** 2, axis=1)) for x in (signal[:n], *noise)]
+    ratio = float(scatter[0] / max(np.mean(scatter[1:]), 1e-300))
+    return ratio if ratio > BURSTS else 1.0
+
+
+def _largest_of_blocks(signal: Array, samples: float) -> Array:
+    """The largest |value| of a record of so many samples, (3,) at 2.5, 50 and 97.5 %, by the largest of its blocks.
+
+    The largest `TAIL` of them lie exponentially above the next one; the error of their scale is in it. One event alone
+    is as large as it was.
+    """
+    found = np.sort(np.abs(signal[: signal.size // BLOCKS * BLOCKS]).reshape(BLOCKS, -1).max(axis=1))
+    threshold = float(found[-TAIL - 1])
+    scale = float(found[-TAIL:].mean()) - threshold
+    away = scale * np.log(TAIL * samples / signal.size / -np.log([0.025, 0.5, 0.975]))
+    reach = np.hypot(away - away[1], NORMAL_95 * away[1] / np.sqrt(TAIL))
+    ends = np.maximum(threshold + away[1] + np.array([-1.0, 0.0, 1.0]) * reach, 1e-9 * max(found[-1], 1e-300))
+    return np.asarray(ends * found[-1] / ends[1] if found[-1] > ALONE * ends[1] else ends)
 
 
 def _lines(n: int, rate_hz: float) -> Array:
@@ -308,43 +349,43 @@ def largest(crossings: float, samples: float, level: float) -> float:
 class _Peak:
     """The largest |value| of a signal in a record as long as the disturbance's.
 
-    `levels` (5,) are its quantiles over the rms at 0.1, 2.5, 50, 97.5 and 99.9 % for Gaussian noise; `own` is the
-    largest value of the recorded disturbance, 0 without one.
+    `levels` (5,) are its quantiles over the rms at 0.1, 2.5, 50, 97.5 and 99.9 % for Gaussian noise; `own` are (3,) at
+    2.5, 50 and 97.5 % those of a recorded disturbance that is unlike it, None of one that is not.
     """
 
     power: _Power
     levels: Array
-    own: float
+    own: Array | None = None
 
     @classmethod
-    def of(cls, power: _Power, faster: _Power, samples: float, rate_hz: float, own: Array, *, repeats: bool) -> _Peak:
+    def of(
+        cls, power: _Power, faster: _Power, samples: float, rate_hz: float, own: Array, bursts: float, *, repeats: bool
+    ) -> _Peak:  # fmt: skip
         """From the power of a signal and of its rate; what repeats has the peak of the signal itself."""
         if repeats:
-            return cls(power, np.full(5, float(np.abs(own).max()) / max(float(power.rms[0]), 1e-300)), 0.0)
+            return cls(power, np.full(5, float(np.abs(own).max()) / max(float(power.rms[0]), 1e-300)))
         crossings = samples * crossings_a_sample(power.mean, faster.mean, rate_hz)
         chances = (0.001, 0.025, 0.5, 0.975, 0.999) if samples > 0.0 else ()
-        levels = [largest(crossings, samples, x) for x in chances]
-        return cls(power, np.maximum(levels, 1e-9), float(np.abs(own).max(initial=0.0)))
+        levels = np.maximum([largest(crossings, samples, x) for x in chances], 1e-9)
+        most, rms = float(np.abs(own).max(initial=0.0)), float(power.rms[0])
+        usual = not levels.size or most == 0.0 or levels[0] * rms <= most <= levels[4] * rms
+        return cls(power, levels, None if usual and bursts < UNLIKE else _largest_of_blocks(own, samples))
 
     @property
     def unlike(self) -> bool:
         """Whether the recorded signal is none of Gaussian noise."""
-        rms = float(self.power.rms[0])
-        return self.levels.size > 0 and self.own > 0.0 and not self.levels[0] * rms <= self.own <= self.levels[4] * rms
+        return self.own is not None
 
     def reading(self, factors: Sequence[Factor]) -> Reading:
-        """The interval is that of another record's peak: the chance of the peak, and the error of the rms.
-
-        A record that is unlike Gaussian noise (tones, shocks) has its own peak, with the same shares about it.
-        """
-        rms, (_, less, middle, more, _) = self.power.rms, self.levels
+        """The interval is that of another record's peak: the chance of the peak, and the error of the rms."""
+        rms = self.power.rms
         if rms[0] <= 0.0:
             return Reading(0.0, (0.0, 0.0))
-        value = self.own if self.unlike else float(rms[0] * middle)
+        less, middle, more = rms[0] * self.levels[1:4] if self.own is None else self.own
         below, above = np.log(rms[0] / max(rms[1], 1e-9 * rms[0])), np.log(rms[2] / rms[0])
-        low = value * factors[1].low * float(np.exp(-np.hypot(np.log(middle / less), below)))
-        high = value * factors[2].high * float(np.exp(np.hypot(np.log(more / middle), above)))
-        return Reading(value * factors[0].value, (low, high))
+        low = middle * factors[1].low * float(np.exp(-np.hypot(np.log(middle / less), below)))
+        high = middle * factors[2].high * float(np.exp(np.hypot(np.log(more / middle), above)))
+        return Reading(float(middle * factors[0].value), (float(low), float(high)))
 
 
 def _saturation(control: _Power, actuator: Actuator, changed: Sequence[Factors]) -> Reading:

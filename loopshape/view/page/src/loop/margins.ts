@@ -63,8 +63,8 @@ export function margins(loop: Loop, reader: Reader): Margins {
   }
   const ends = bounds(loop, first, found, reader);
   const made = { values, intervals, bounds: ends, at_hz: places(at, first.f[0], reader) };
-  const told = first.f.length > loop.dense.f.length;
-  if (!told && !isLarge(loop) && first.f.length > 1 && first.f[0] > loop.plant.source.constants.at_zero * first.f[1]) boundedBelow(loop, first, made, reader);
+  const continued = first.f.length > loop.dense.f.length;
+  if (!continued && !isLarge(loop) && first.f.length > 1 && first.f[0] > loop.plant.source.constants.at_zero * first.f[1]) boundedBelow(loop, first, made, reader);
   boundedAbove(loop, first, made);
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
   values.detuning_percent = NaN;
@@ -79,10 +79,10 @@ export function margins(loop: Loop, reader: Reader): Margins {
   };
 }
 
-type Found = Pick<Margins, "values" | "intervals" | "bounds" | "at_hz">;
+type Measured = Pick<Margins, "values" | "intervals" | "bounds" | "at_hz">;
 
 /** Make a reading a bound: no worse than `value`, at best as it was read, or as `best`. */
-function worst(found: Found, name: string, value: number, at_hz: number, best = found.bounds[name] ?? found.values[name]): void {
+function worst(found: Measured, name: string, value: number, at_hz: number, best = found.bounds[name] ?? found.values[name]): void {
   found.bounds[name] = best;
   if (found.intervals[name] && value !== found.values[name]) found.intervals[name] = [value, value];
   [found.values[name], found.at_hz[name]] = [value, at_hz];
@@ -91,7 +91,7 @@ function worst(found: Found, name: string, value: number, at_hz: number, best = 
 const size = ({ re, im }: Complex, k: number): number => Math.hypot(re[k], im[k]);
 
 /** What may lie below the first line, where no model tells it and |L| is not large there (`_bounded_below`). */
-function boundedBelow(loop: Loop, j: Judged, found: Found, { limits }: Reader): void {
+function boundedBelow(loop: Loop, j: Judged, found: Measured, { limits }: Reader): void {
   const [first_hz, first, hidden] = [j.f[0], size(j.L, 0), !inSight(loop)];
   for (const name of ["bandwidth_hz", "sensitivity_bandwidth_hz"]) {
     if (found.values[name] === 0 || hidden) worst(found, name, 0, first_hz, Math.max(found.values[name], first_hz));
@@ -114,7 +114,7 @@ function boundedBelow(loop: Loop, j: Judged, found: Found, { limits }: Reader): 
 }
 
 /** How far |T| may still rise above the last line, and |PS| (`_bounded_above`). */
-function boundedAbove(loop: Loop, j: Judged, found: Found): void {
+function boundedAbove(loop: Loop, j: Judged, found: Measured): void {
   const end = j.f.length - 1;
   const last = Math.max(size(j.L, end), largestAbove(loop));
   if (!aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz).length) return;
