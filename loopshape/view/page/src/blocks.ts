@@ -1,8 +1,9 @@
 // The controller's blocks: numbers to type, locks, order, and what each costs at the crossover.
 
-import type { Controller, Kind } from "./numbers/controller";
-import { KIND_NAMES, NEW_KINDS, PARAMETER_NAMES, newBlock, parameterRefusal, type Design, type DesignBlock } from "./design";
-import { button, el, focusedIn, numberField, shown, written } from "./dom";
+import type { Controller } from "./numbers/controller";
+import { newBlock, type Design, type DesignBlock } from "./design";
+import { button, el, focusedIn, numberField, shown, told, written } from "./dom";
+import { nameOf, NEW_BLOCKS, numbersOf, type BlockNumber } from "./numbers/forms";
 import { costAt } from "./draw/handles";
 
 interface Card {
@@ -15,39 +16,41 @@ export class BlockList {
   private readonly list = el("ol", { class: "blocks" });
   private readonly budget = el("p", { class: "quiet", id: "budget" });
   private readonly kind = el("select", { id: "new-kind" });
+  private readonly delayed = numberField("computation delay [s]", 0, (value, goesOn) => this.delay(value, goesOn), { id: "delay" });
   private shape = "";
   private cards: Card[] = [];
 
   constructor(
     private readonly design: () => Design,
     private readonly change: (blocks: DesignBlock[], goesOn: boolean, words?: string) => string | null,
+    private readonly delay: (delay_s: number, goesOn: boolean) => string | null,
     private readonly crossover: () => number,
   ) {
-    const kinds = NEW_KINDS.map((kind) => el("option", { value: kind }, KIND_NAMES[kind]));
-    this.kind.append(...kinds);
+    this.kind.append(...Object.entries(NEW_BLOCKS).map(([word, [name]]) => el("option", { value: word }, name)));
     this.kind.value = "notch";
     const add = button("Add block", "add a block of this kind", () => this.add());
-    this.element.append(this.list, el("p", { class: "row" }, el("label", { for: "new-kind" }, "New block "), this.kind, add), this.budget);
+    this.element.append(this.list, el("p", { class: "row" }, el("label", { for: "new-kind" }, "New block "), this.kind, add), this.budget,
+      el("p", { class: "row parameter" }, el("label", { for: this.delayed.id, title: "from sampling to when the output takes effect, as far as the measured plant does not contain it" }, "Computation delay [s]"), this.delayed));
   }
 
   private add(): void {
-    const made = newBlock(this.kind.value as Kind, this.crossover() || 10);
-    this.change([...this.design().blocks, made], false, `${KIND_NAMES[made.kind]} added`);
+    const made = newBlock(this.kind.value, this.crossover() || 10);
+    this.change([...this.design().blocks, made], false, `${nameOf(made)} added`);
   }
 
   show(controller: Controller): void {
-    const { blocks } = this.design();
-    const shape = JSON.stringify(blocks.map(({ kind, off, locked }) => [kind, off, locked]));
+    const { blocks, computation_delay_s } = this.design();
+    const numbers = blocks.map((block) => numbersOf(block, block.locked));
+    const shape = JSON.stringify(blocks.map((block, k) => [nameOf(block), block.off, block.locked, numbers[k].map(({ name }) => name)]));
     if (shape !== this.shape) this.rebuild(blocks);
     this.shape = shape;
     const hz = this.crossover();
     blocks.forEach((block, k) => {
-      for (const [name, field] of this.cards[k].fields) {
-        if (focusedIn(field) !== field) field.value = written(block.parameters[name]);
-      }
+      for (const { name, value } of numbers[k]) told(this.cards[k].fields.get(name) as HTMLInputElement, written(value));
       const cost = block.off ? null : costAt(controller, block, hz);
       this.cards[k].cost.textContent = block.off ? "off" : cost ? `${signed(cost.deg)}°, ${signed(cost.db)} dB` : "";
     });
+    told(this.delayed, written(computation_delay_s));
     this.budget.textContent = hz ? `Degrees and dB that each block adds at the crossover, ${shown(hz)} Hz.` : "No crossover.";
   }
 
@@ -62,19 +65,19 @@ export class BlockList {
     const fields = new Map<string, HTMLInputElement>();
     const cost = el("span", { class: "cost" });
     this.cards.push({ fields, cost });
-    const where = `block ${k + 1}, ${KIND_NAMES[block.kind]}`;
-    const names = block.kind === "section" ? [] : Object.keys(block.parameters);
-    const parts: HTMLElement[] = names.map((name) => {
-      const field = this.field(block, k, name, where);
-      fields.set(name, field);
-      return el("span", { class: "parameter" }, el("label", { for: field.id }, PARAMETER_NAMES[name]), field, this.lock(block, k, name, where));
+    const where = `block ${k + 1}, ${nameOf(block)}`;
+    const parts: HTMLElement[] = numbersOf(block, block.locked).map((number) => {
+      const field = this.field(block, k, number, where);
+      fields.set(number.name, field);
+      const lock = number.of.length === 1 ? this.lock(block, k, number, where) : null;
+      return el("span", { class: "parameter" }, el("label", { for: field.id }, number.label), field, lock);
     });
-    if (block.kind === "section") parts.push(el("p", { class: "quiet" }, sectionWords(block.parameters)));
+    if (!parts.length) parts.push(el("p", { class: "quiet" }, sectionWords(block.parameters)));
     const on = el("input", { type: "checkbox", id: `on-${k}`, change: () => this.edit(k, { off: !block.off }) });
     on.checked = !block.off;
     const head = el(
       "div", { class: "head" },
-      el("b", {}, `${k + 1} ${KIND_NAMES[block.kind]}`), cost,
+      el("b", {}, `${k + 1} ${nameOf(block)}`), cost,
       el("label", { class: "check" }, on, "on"),
       button("↑", `move ${where} up`, () => this.move(k, -1), { id: `up-${k}`, class: "plain", disabled: k === 0 }),
       button("↓", `move ${where} down`, () => this.move(k, 1), { id: `down-${k}`, class: "plain", disabled: k === this.design().blocks.length - 1 }),
@@ -83,22 +86,20 @@ export class BlockList {
     return el("li", { class: block.off ? "off" : "" }, head, el("div", { class: "parameters" }, ...parts));
   }
 
-  private field(block: DesignBlock, k: number, name: string, where: string): HTMLInputElement {
-    const field = numberField(`${PARAMETER_NAMES[name]} of ${where}`, block.parameters[name], (value, goesOn) => {
-      const why = parameterRefusal(name, value);
-      if (why) return why;
-      const own = this.design().blocks[k].parameters;
-      const tied = block.kind === "notch" && own.f1_hz === own.f2_hz && name === "f1_hz" && !this.design().blocks[k].locked.includes("f2_hz");
-      return this.edit(k, { parameters: { ...own, [name]: value, ...(tied ? { f2_hz: value } : {}) } }, goesOn);
+  private field(block: DesignBlock, k: number, { name, label, of, value }: BlockNumber, where: string): HTMLInputElement {
+    const field = numberField(`${label} of ${where}`, value, (wanted, goesOn) => {
+      const now = this.design().blocks[k];
+      const parameters = numbersOf(now, now.locked).find((number) => number.name === name)?.with(wanted) ?? null;
+      return typeof parameters === "object" && parameters ? this.edit(k, { parameters }, goesOn) : parameters;
     });
     field.id = `b${k}-${name}`;
-    field.disabled = block.locked.includes(name);
+    field.disabled = of.some((one) => block.locked.includes(one));
     return field;
   }
 
-  private lock(block: DesignBlock, k: number, name: string, where: string): HTMLButtonElement {
+  private lock(block: DesignBlock, k: number, { name, label: shownAs }: BlockNumber, where: string): HTMLButtonElement {
     const locked = block.locked.includes(name);
-    const label = `${locked ? "unlock" : "lock"} ${PARAMETER_NAMES[name]} of ${where}`;
+    const label = `${locked ? "unlock" : "lock"} ${shownAs} of ${where}`;
     const flip = (): void => {
       this.edit(k, { locked: locked ? block.locked.filter((x) => x !== name) : [...block.locked, name] });
     };
@@ -118,7 +119,7 @@ export class BlockList {
 
   private remove(k: number): void {
     const { blocks } = this.design();
-    this.change(blocks.filter((_, i) => i !== k), false, `${KIND_NAMES[blocks[k].kind]} removed`);
+    this.change(blocks.filter((_, i) => i !== k), false, `${nameOf(blocks[k])} removed`);
   }
 }
 

@@ -2,6 +2,7 @@
 
 import type { Block, Controller, Kind } from "./numbers/controller";
 import { refusal, section, sectionRefusal } from "./numbers/controller";
+import { NEW_BLOCKS, parameterRefusal } from "./numbers/forms";
 import { limitsOver, MASKED } from "./loop/limits";
 import type { Payload, PlantLoop, Requirements } from "./payload";
 import { readToml, tomlText, Whole, type Table, type Toml } from "./toml";
@@ -16,33 +17,6 @@ export interface Design extends Omit<Controller, "blocks"> {
   blocks: DesignBlock[];
   requirements: Requirements;
 }
-
-export const KIND_NAMES: Record<Kind, string> = {
-  gain: "gain",
-  lead_lag: "lead or lag",
-  notch: "notch",
-  low_pass_1: "low-pass, order 1",
-  low_pass_2: "low-pass, order 2",
-  pi: "PI (integrator)",
-  pid: "PID",
-  section: "section",
-};
-
-/** Kinds that the page adds; a section comes from a file. */
-export const NEW_KINDS = (Object.keys(KIND_NAMES) as Kind[]).filter((kind) => kind !== "section");
-
-export const PARAMETER_NAMES: Record<string, string> = {
-  gain: "gain",
-  f_hz: "corner [Hz]",
-  f1_hz: "zero [Hz]",
-  f2_hz: "pole [Hz]",
-  fi_hz: "integral corner [Hz]",
-  fd_hz: "derivative corner [Hz]",
-  ff_hz: "filter corner [Hz]",
-  damping: "damping",
-  damping1: "zero damping",
-  damping2: "pole damping",
-};
 
 /** A block of a design; the coefficients of a section are not shaped by hand. */
 export function designBlock({ kind, parameters }: Block): DesignBlock {
@@ -60,29 +34,10 @@ export function controllerOf({ requirements: _, ...design }: Design): Controller
 }
 
 /** A new block about a frequency in Hz, which changes little at first. */
-export function newBlock(kind: Kind, hz: number): DesignBlock {
-  const made: Record<Kind, Record<string, number>> = {
-    gain: { gain: 1 },
-    lead_lag: { f1_hz: hz / 3, f2_hz: hz * 3 },
-    notch: { f1_hz: hz, f2_hz: hz, damping1: 0.1, damping2: 0.5 },
-    low_pass_1: { f_hz: 5 * hz },
-    low_pass_2: { f_hz: 5 * hz, damping: 0.7 },
-    pi: { f_hz: hz / 10 },
-    pid: { gain: 1, fi_hz: hz / 10, fd_hz: 2 * hz, ff_hz: 10 * hz },
-    section: { n0: 1, n1: 0, n2: 0, d0: 1, d1: 0, d2: 0 },
-  };
-  const round = (x: number): number => Number(x.toPrecision(3));
-  const parameters = Object.fromEntries(Object.entries(made[kind]).map(([key, value]) => [key, round(value)]));
-  return designBlock({ kind, parameters });
-}
-
-/** Why a parameter may not have a value, in words; null where it may. */
-export function parameterRefusal(name: string, value: number): string | null {
-  const shown = PARAMETER_NAMES[name] ?? name;
-  if (!Number.isFinite(value)) return `${shown} must be a number`;
-  if (Math.abs(value) > (name.endsWith("_hz") ? 1e9 : 1e100)) return `${shown} is too large`;
-  if (name === "gain" || /^[nd]\d$/.test(name) || value > 0 || (name === "damping1" && value === 0)) return null;
-  return `${shown} must be positive`;
+export function newBlock(word: string, hz: number): DesignBlock {
+  const { kind, parameters } = NEW_BLOCKS[word][1](Number(hz.toPrecision(3)));
+  const round = (x: number): number => (kind === "section" ? x : Number(x.toPrecision(3)));
+  return designBlock({ kind, parameters: Object.fromEntries(Object.entries(parameters).map(([key, value]) => [key, round(value)])) });
 }
 
 function blockTable({ kind, parameters }: Block): Record<string, number | string | Whole> {

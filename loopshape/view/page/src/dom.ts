@@ -46,6 +46,21 @@ export const written = (value: number): string => String(Number(value.toPrecisio
 /** What a person typed as a number: a comma is a point. */
 export const typed = (text: string): number => (text.trim() === "" ? NaN : Number(text.trim().replace("−", "-").replace(",", ".")));
 
+/** What stands in a field, unless somebody types there. */
+export function told(field: HTMLInputElement, text: string): void {
+  if (focusedIn(field) === field) return;
+  field.value = text;
+  refused(field, null);
+}
+
+/** Why the number in a field is not taken, beside it; null where it is. */
+function refused(field: HTMLInputElement, why: string | null): void {
+  field.setAttribute("aria-invalid", String(why !== null));
+  field.parentElement?.querySelector(".why")?.remove();
+  if (why === null) return;
+  field.after(el("small", { class: "why", role: "alert" }, `${why}.`));
+}
+
 /** A field for a number: typed, stepped by arrow keys and the wheel by shares of itself. */
 export function numberField(
   label: string, value: number, change: (value: number, goesOn: boolean) => string | null, more: Properties = {},
@@ -53,8 +68,7 @@ export function numberField(
   const field = el("input", { type: "text", inputmode: "decimal", "aria-label": label, value: written(value), autocomplete: "off", ...more });
   const set = (wanted: number, goesOn: boolean): void => {
     const why = change(wanted, goesOn);
-    field.setAttribute("aria-invalid", String(why !== null));
-    field.title = why ?? "";
+    refused(field, why);
     if (why === null && goesOn) field.value = written(wanted);
   };
   const step = (up: boolean, event: KeyboardEvent | WheelEvent, large = false): void => {
@@ -70,6 +84,10 @@ export function numberField(
   field.addEventListener("wheel", (event) => {
     if (focusedIn(field) === field && !field.disabled) step(event.deltaY < 0, event);
   }, { passive: false });
-  field.addEventListener("change", () => set(typed(field.value), false));
+  field.addEventListener("change", () => {
+    const value = typed(field.value);
+    if (Number.isNaN(value)) refused(field, `${label} must be a number; received ${field.value.trim() || "nothing"}; write digits, as 12.5`);
+    else set(value, false);
+  });
   return field;
 }

@@ -5,7 +5,6 @@ import { BlockList } from "./blocks";
 import { refusal, responseOn, type Controller } from "./numbers/controller";
 import {
   addressOf, controllerOf, controllerText, designOf, History, requirementsText, withFile, type Design,
-  type DesignBlock,
 } from "./design";
 import { button, download, el, focusedIn, shown } from "./dom";
 import { Cell, OwnDocument, type Guest, type Host, type Model } from "./host";
@@ -112,7 +111,7 @@ class Page implements Guest {
       (name, value, goesOn) => this.require(name, value, goesOn),
       (point, hz) => this.screen.look(point, hz),
     );
-    this.blocks = new BlockList(() => this.design, (blocks, goesOn, words) => this.changeBlocks(blocks, goesOn, words), () => this.crossover());
+    this.blocks = new BlockList(() => this.design, (blocks, goesOn, words) => this.change({ blocks }, goesOn, words), (delay_s, goesOn) => this.delay(delay_s, goesOn), () => this.crossover());
     this.screen = new Screen(names, {
       design: () => this.design,
       controller: () => this.controller,
@@ -121,7 +120,7 @@ class Page implements Guest {
         every: this.design.requirements,
         limits: this.payload.limits,
       }),
-      change: (blocks, goesOn) => this.changeBlocks(blocks, goesOn),
+      change: (blocks, goesOn) => this.change({ blocks }, goesOn),
       ended: () => this.histories[this.current].close(),
       crossover: () => this.crossover(),
       fit: (point) => this.loop.points[point].fit,
@@ -279,9 +278,14 @@ class Page implements Guest {
     return (trace && unitCrossings(trace.f, trace.L)[0]) ?? 0;
   }
 
-  /** Blocks as changed, or why not, in words. */
-  private changeBlocks(blocks: DesignBlock[], goesOn: boolean, words?: string): string | null {
-    const next = { ...this.design, blocks };
+  private delay(computation_delay_s: number, goesOn: boolean): string | null {
+    if (!(computation_delay_s >= 0)) return `computation delay [s] must not be negative; received ${computation_delay_s}; give 0 or more`;
+    return this.change({ computation_delay_s }, goesOn);
+  }
+
+  /** The design as changed, or why not, in words. */
+  private change(part: Partial<Design>, goesOn: boolean, words?: string): string | null {
+    const next = { ...this.design, ...part };
     const why = refusal(controllerOf(next));
     if (why) {
       this.say(`Not possible: ${why}.`);

@@ -2,7 +2,8 @@
 
 import { blockResponse, type Controller } from "../numbers/controller";
 import { db, fromDb } from "../numbers/arrays";
-import { parameterRefusal, type DesignBlock } from "../design";
+import type { DesignBlock } from "../design";
+import { numbersOf, parameterRefusal } from "../numbers/forms";
 
 export interface Handle {
   block: number;
@@ -27,7 +28,8 @@ export function handlesOf(blocks: DesignBlock[], gainHz: number): Handle[] {
       add("f1_hz", p.f1_hz, "z");
       add("f2_hz", p.f2_hz, "p");
     } else if (block.kind === "notch") add("f1_hz", p.f1_hz, "N");
-    else if (block.kind !== "section") add("f_hz", p.f_hz, block.kind === "pi" ? "I" : "L");
+    else if (block.kind === "section") for (const { name, value } of numbersOf(block, [])) add(name, value, p.d0 ? "H" : "I");
+    else add("f_hz", p.f_hz, block.kind === "pi" ? "I" : "L");
   });
   return out;
 }
@@ -38,6 +40,12 @@ function set(block: DesignBlock, values: Record<string, number>): DesignBlock {
     if (!block.locked.includes(name) && parameterRefusal(name, value) === null) parameters[name] = value;
   }
   return { ...block, parameters };
+}
+
+/** An integrator or a high-pass elsewhere: its coefficients are no numbers to lock. */
+function moved(block: DesignBlock, hz: number): DesignBlock {
+  const parameters = numbersOf(block, [])[0]?.with(hz);
+  return typeof parameters === "object" ? { ...block, parameters } : block;
 }
 
 /** A block whose handle was dragged to a frequency, and up by some dB since it was taken hold of at `from`. */
@@ -51,8 +59,10 @@ export function dragged(from: DesignBlock, name: string, hz: number, upDb: numbe
       f1_hz: hz,
       f2_hz: tied || from.locked.includes("f2_hz") ? (tied ? hz : p.f2_hz) : p.f2_hz * shift,
       damping1: p.damping1 * fromDb(upDb),
+      ...(!tied && p.damping1 === p.damping2 ? { damping2: p.damping2 * fromDb(upDb) } : {}), // of a complex lead
     });
   }
+  if (from.kind === "section") return moved(from, hz);
   if (from.kind === "pid") return set(from, { [name]: hz, gain: p.gain * fromDb(upDb) });
   if (from.kind === "low_pass_2") return set(from, { f_hz: hz, damping: p.damping * fromDb(-upDb) });
   return set(from, { [name]: hz });
@@ -64,6 +74,7 @@ export function widened(block: DesignBlock, factor: number): DesignBlock {
   if (block.kind === "gain" || block.kind === "pid") return set(block, { gain: p.gain * factor });
   if (block.kind === "notch") return set(block, { damping1: p.damping1 * factor, damping2: p.damping2 * factor });
   if (block.kind === "low_pass_2") return set(block, { damping: p.damping * factor });
+  if (block.kind === "section") return moved(block, numbersOf(block, [])[0]?.value * factor);
   if (block.kind !== "lead_lag") return set(block, { f_hz: p.f_hz * factor });
   const wider = p.f1_hz < p.f2_hz ? factor : 1 / factor;
   return set(block, { f1_hz: p.f1_hz / wider, f2_hz: p.f2_hz * wider });
