@@ -11,6 +11,7 @@ import shaped_cases
 from test_shape_page_is_check import asked, differences
 
 import loopshape as ls
+from loopshape.view.page.payload import controller_from
 
 TWO_PI = 2.0 * np.pi
 
@@ -25,6 +26,7 @@ def context() -> Iterator[Any]:
 def page(context: Any, tmp_path: Path) -> Iterator[Any]:
     P, R, C = shaped_cases.bench()
     made = page_in_browser.opened(context, ls.shape(P, C, R, tmp_path / "bench.html"))
+    made.set_viewport_size({"width": 1440, "height": 1000})
     yield made
     assert not made.errors
     made.close()
@@ -104,3 +106,40 @@ def test_handles_of_an_integrator_and_a_high_pass_move_them(page: Any) -> None:
     after = page.evaluate("loopshape.design.blocks.at(-1).parameters")
     assert after["n1"] == after["d1"] < 0.9 * before["n1"]
     assert (after["d0"], after["n0"]) == (1, 0)
+
+
+#: where L stands on the Nichols plot near its crossover, and degrees and dB of a pixel there
+ON_NICHOLS = """(() => { const { nichols: plot, traces: [{ f, L }] } = loopshape.screen
+  const db = k => 20 * Math.log10(Math.hypot(L.re[k], L.im[k])), k = f.findIndex((_, k) => db(k) < 2)
+  const deg = Math.atan2(L.im[k], L.re[k]) * 180 / Math.PI
+  return { x: plot.px(deg > 0 ? deg - 360 : deg), y: plot.py(db(k)), deg: plot.toX(1) - plot.toX(0),
+    db: plot.toY(0) - plot.toY(1) } })()"""
+
+
+@pytest.mark.parametrize(("right", "up"), [(0, 30), (0, -20), (-14, 0), (-12, 18), (40, 5)])
+def test_the_curve_on_the_nichols_plot_follows_the_mouse(right: int, up: int, page: Any) -> None:
+    """Up and down by the gain exactly, sideways by the lead, which has 84.8 degrees there and cannot come to 90."""
+
+    def at(hz: float) -> complex:
+        return complex(controller_from(page.evaluate("loopshape.state.controller")).response(np.array([hz]))[0])
+
+    page.locator("#nichols").scroll_into_view_if_needed()
+    box, there = page.locator("#nichols").bounding_box(), page.evaluate(ON_NICHOLS)
+    x, y = round(box["x"] + there["x"]), round(box["y"] + there["y"])
+    page.mouse.move(x, y)
+    hz, blocks = page.evaluate("loopshape.screen.cursorHz"), page.evaluate("loopshape.design.blocks")
+    before = at(hz)
+    page.mouse.down()
+    page.mouse.move(x + right, y - up)
+    page.mouse.up()
+    page_in_browser.settled(page)
+    ratio = at(hz) / before
+    assert 20.0 * np.log10(abs(ratio)) == pytest.approx(up * there["db"], abs=1e-9)
+    turned = np.degrees(np.angle(ratio))
+    assert 5.0 < turned < 5.3 if right > 0 else turned == pytest.approx(right * there["deg"], abs=1e-9)
+    after = page.evaluate("loopshape.design.blocks")
+    moved = {old["kind"] for old, new in zip(blocks, after, strict=True) if old != new}
+    assert moved == ({"gain", "lead_lag"} if right else {"gain"})
+    page.keyboard.press("Control+z")
+    page_in_browser.until(page, "loopshape.decided")
+    assert page.evaluate("loopshape.design.blocks") == blocks

@@ -271,6 +271,30 @@ def test_a_finger_drags_a_notch_on_a_phone(browser: Any, file: Path) -> None:
     context.close()
 
 
+def test_on_a_phone_the_numbers_stay_beside_the_plot(browser: Any, file: Path) -> None:
+    context = browser.new_context(viewport={"width": 375, "height": 700}, has_touch=True, is_mobile=True)
+    page = page_in_browser.opened(context, file)
+    for plot in ("magnitude", "nichols"):
+        page.locator(f"#{plot}").evaluate("x => x.scrollIntoView({ block: 'start' })")
+        for name in ("strip", "readout"):
+            box = page.locator(f"#{name}").bounding_box()
+            assert 0 <= box["y"] < box["y"] + box["height"] <= 700
+        top = page.locator("#readout").bounding_box()["y"]
+        assert top >= page.locator(f"#{plot}").bounding_box()["y"] + 240
+    page_in_browser.settled(page)
+    rows = page.locator("#strip .line").all_inner_texts()
+    assert page.locator("#strip .badge").inner_text() == page.locator("#verdict-badge").inner_text() == "✗ failed"
+    assert len(rows) == len(state(page)["rows"]) + 1  # the first says that stability is not known
+    assert [row[0] for row in rows[1:]] == sorted((row[0] for row in rows[1:]), key="✗?✓".index)
+    typed(page, "gain of block 1, gain", 12)
+    page_in_browser.settled(page)
+    assert page.locator("#strip").bounding_box()["y"] > 600
+    assert page.locator("#strip .line").all_inner_texts() != rows
+    page.set_viewport_size({"width": 1280, "height": 800})
+    page.locator("#strip").wait_for(state="hidden")
+    context.close()
+
+
 def test_the_step_of_the_fit_stands_in_place_of_the_phase_and_names_the_fit(browser: Any, tmp_path: Path) -> None:
     P, R, C = shaped_cases.bench()
     fit = ls.fit(P, "rational", numerator=2, denominator=4, delay=True)

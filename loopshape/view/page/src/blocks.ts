@@ -129,4 +129,4 @@ function sectionWords(p: Record<string, number>): string {
   return `(${sum("n")}) / (${sum("d")}), s in rad/s`;
 }
 
-const signed = (value: number): string => `${value >= 0 ? "+" : "−"}${Math.abs(value).toFixed(1)}`;
+const signed = (value: number): string => `${Number(value.toFixed(1)) >= 0 ? "+" : "−"}${Math.abs(value).toFixed(1)}`;

@@ -136,6 +136,7 @@ class Page implements Guest {
         el("section", { id: "controller", "aria-label": "Controller" }, el("h2", {}, "Controller"), this.blocks.element),
       ),
       el("footer", {}, el("p", { class: "quiet" }, KEYS)),
+      this.table.strip,
     );
   }
 
@@ -534,6 +535,7 @@ class Page implements Guest {
 
 const KEYS =
   "On the Bode plot drag a handle (z zero, p pole, N notch, L low-pass, K gain, I integrator, D and F derivative and filter of a PID); the wheel above a handle widens it." +
+  " On the Nichols plot drag the curve: up and down with its gain, sideways with the corners of a lead." +
   " Keyboard: arrow keys in a number change it by 1 %, with Shift by 10 %, with Alt by 0.1 %; on a plot left and right move the cursor," +
   " up and down choose the operating point, + and − zoom, 0 shows all. Ctrl+Z and Ctrl+Y undo and redo. Files may be dropped on the page.";
 

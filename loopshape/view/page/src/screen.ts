@@ -4,7 +4,7 @@ import { placeIn } from "./numbers/arrays";
 import type { Controller } from "./numbers/controller";
 import type { Design, DesignBlock } from "./design";
 import { el, shown } from "./dom";
-import { dragged, handlesOf, widened, type Handle } from "./draw/handles";
+import { carried, dragged, handlesOf, widened, type Handle } from "./draw/handles";
 import { limitSizes, phaseGuides, sizeGuides, type RequiredLimits } from "./draw/guides";
 import { axisCrossings, unitCrossings } from "./loop/margins";
 import type { FitModel } from "./payload";
@@ -36,6 +36,19 @@ interface Hold {
   startDb: number;
 }
 
+/** A place of the curve in front on the Nichols plot that follows the mouse: its frequency, and where it was taken. */
+interface Carry {
+  from: DesignBlock[];
+  controller: Controller;
+  hz: number;
+  x: number;
+  y: number;
+}
+
+/** How near the mouse must come to a curve, and how far it must go sideways before the phase follows, in pixels. */
+const NEAR = 9;
+const SIDEWAYS = 6;
+
 /** How near a finger must come to a handle, in pixels. */
 const FINGER = 28;
 
@@ -60,6 +73,7 @@ export class Screen {
   private chosen: number | null = null;
   private cursorHz: number | null = null;
   private hold: Hold | null = null;
+  private carry: Carry | null = null;
   private traces: Trace[] = [];
   private others: Trace[] | null = null;
   private worst = 0;
@@ -288,8 +302,9 @@ export class Screen {
 
   private drawMap(plot: Plot): void {
     const isNichols = plot === this.nichols;
-    if (isNichols) plot.show(LINEAR(-360, 0, "phase of L [deg]", 45), nicholsAxis(this.traces));
-    else {
+    if (isNichols) {
+      if (!this.carry) plot.show(LINEAR(-360, 0, "phase of L [deg]", 45), nicholsAxis(this.traces));
+    } else {
       const tall = plot.canvas.clientHeight / Math.max(plot.canvas.clientWidth, 1);
       plot.show(LINEAR(-3, 1.5, "Re L", 0.5), LINEAR(-2.25 * tall, 2.25 * tall, "Im L", 0.5));
     }
@@ -336,17 +351,19 @@ export class Screen {
     const { canvas } = plot;
     canvas.addEventListener("pointerdown", (event) => {
       this.hold = plot === this.size ? this.taken(event) : null;
-      if (this.hold) canvas.setPointerCapture(event.pointerId);
+      this.carry = plot === this.nichols ? this.curveTaken(event) : null;
+      if (this.hold || this.carry) canvas.setPointerCapture(event.pointerId);
       else this.zoom.down(plot, event);
       this.redraw();
     });
     canvas.addEventListener("pointermove", (event) => {
       if (this.hold) this.drag(event);
+      else if (this.carry) this.carryOn(this.carry, event);
       else if (!this.zoom.move(plot, event)) this.point(plot, event);
     });
     const up = (): void => {
-      if (this.hold) this.asked.ended();
-      this.hold = null;
+      if (this.hold || this.carry) this.asked.ended();
+      this.hold = this.carry = null;
       this.zoom.up();
       this.redraw();
     };
@@ -383,12 +400,34 @@ export class Screen {
     this.replace(handle.block, dragged(from, handle.name, Number(hz.toPrecision(5)), up));
   }
 
+  /** The place of the curve in front under the mouse; a finger scrolls the page. */
+  private curveTaken(event: PointerEvent): Carry | null {
+    const at = this.onCurve(event);
+    if (at === null || event.pointerType === "touch" || this.hidden.has(this.front)) return null;
+    event.preventDefault();
+    this.cursorHz = this.traces[this.front].f[at];
+    return { from: structuredClone(this.asked.design().blocks), controller: this.asked.controller(), hz: this.cursorHz, x: event.offsetX, y: event.offsetY };
+  }
+
+  private onCurve(event: PointerEvent): number | null {
+    const [k, far] = this.nichols.nearest(nicholsPlaces(this.traces[this.front].L), event.offsetX, event.offsetY);
+    return far < NEAR ? k : null;
+  }
+
+  private carryOn({ from, controller, hz, x, y }: Carry, event: PointerEvent): void {
+    const plot = this.nichols;
+    const turn = Math.abs(event.offsetX - x) > SIDEWAYS ? plot.toX(event.offsetX) - plot.toX(x) : 0;
+    const blocks = carried(controller, from, hz, plot.toY(event.offsetY) - plot.toY(y), turn);
+    if (blocks) this.asked.change(blocks, true);
+  }
+
   private replace(k: number, block: DesignBlock): void {
     this.asked.change(this.asked.design().blocks.map((one, i) => (i === k ? block : one)), true);
   }
 
   private point(plot: Plot, event: PointerEvent): void {
     if (plot === this.size) this.size.canvas.style.cursor = this.nearest(event.offsetX, event.offsetY) ? "grab" : "crosshair";
+    if (plot === this.nichols) plot.canvas.style.cursor = this.onCurve(event) === null ? "crosshair" : "grab";
     if (plot === this.step) this.cursorS = Math.max(plot.toX(event.offsetX), 0);
     else if (plot === this.size || plot === this.phase) this.cursorHz = this.inRange(plot.toX(event.offsetX));
     else {

@@ -43,6 +43,8 @@ interface Cells {
 
 export class RequirementTable {
   readonly element = el("div");
+  /** The rows in short, which a narrow screen keeps in sight. */
+  readonly strip = el("p", { class: "strip", id: "strip", "aria-hidden": "true" });
   private readonly body = el("tbody");
   private readonly stability = el("p", { class: "stability" });
   private readonly detuning = el("p", { class: "stability", id: "detuning" });
@@ -82,10 +84,23 @@ export class RequirementTable {
       const [isKnown, late] = limit.name === DETUNING ? [known.detuned, known.late.detuning] : [known.settled, known.late.intervals];
       this.fill(limit, row, cells, isKnown, rowOf(late, limit), rowOf(before, limit));
     }
+    this.tellInShort(found, known);
     const counted = known.settled ? found : known.late.intervals;
     this.stability.replaceChildren(...(counted ? this.stabilityWords(counted) : ["Stability: computing"]));
     this.stability.classList.toggle("late", !known.settled);
     this.tellDetuning(known.detuned, known.late);
+  }
+
+  /** The verdict, then what is missed first. */
+  private tellInShort({ rows, outcome, unstable }: Verdict, { settled, detuned }: Known): void {
+    const decided = settled && (detuned || !rows.some(({ quantity }) => quantity === DETUNING));
+    const lost = settled && unstable.length ? el("span", { class: "line failed" }, `not stable at ${unstable.length} of ${this.names.length}`) : "";
+    const short = WORST_FIRST.flatMap((word) => rows.filter((row) => row.outcome === word)).map(({ quantity, value, outcome: word }) => {
+      const limit = this.limits.find(({ name }) => name === quantity) as Limit;
+      return el("span", { class: `line ${word}` }, `${OUTCOMES[word][0]} ${limit.label} ${shown(value)} ${unit(limit)}`);
+    });
+    this.strip.replaceChildren(badge(decided ? outcome : null), lost, ...short);
+    this.strip.classList.toggle("late", !settled);
   }
 
   /** The last detuning margin, slanted while it is of a design of a moment ago. */
@@ -201,6 +216,7 @@ export class RequirementTable {
   }
 }
 
+const WORST_FIRST: Outcome[] = ["failed", "undecided", "passed"];
 const DETUNING = "detuning_percent";
 const MOST_RESONANCES = 6;
 

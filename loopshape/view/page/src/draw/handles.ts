@@ -80,6 +80,41 @@ export function widened(block: DesignBlock, factor: number): DesignBlock {
   return set(block, { f1_hz: p.f1_hz / wider, f2_hz: p.f2_hz * wider });
 }
 
+const isOn = ({ off }: DesignBlock): boolean => !off;
+
+/** Blocks whose response at `hz` is `upDb` larger and turned by `turnDeg`, as far as a lead that is not locked can: its
+ * corners move apart or together, and a gain makes up for what that adds. Null where no gain is free. */
+export function carried(controller: Controller, blocks: DesignBlock[], hz: number, upDb: number, turnDeg: number): DesignBlock[] | null {
+  const gain = blocks.findIndex((block) => isOn(block) && "gain" in block.parameters && !block.locked.includes("gain"));
+  if (gain < 0) return null;
+  const lead = turnDeg ? blocks.findIndex((block) => isOn(block) && block.kind === "lead_lag" && !block.locked.length) : -1;
+  const made = [...blocks];
+  let db = upDb;
+  if (lead >= 0) {
+    const before = costAt(controller, blocks[lead], hz);
+    made[lead] = turned(controller, blocks[lead], hz, (before?.deg ?? 0) + turnDeg);
+    db -= (costAt(controller, made[lead], hz)?.db ?? 0) - (before?.db ?? 0);
+  }
+  made[gain] = set(blocks[gain], { gain: blocks[gain].parameters.gain * fromDb(db) });
+  return made;
+}
+
+/** Factors of the two corners about theirs within which a lead is spread. */
+const SPREAD = Math.log(100);
+
+/** A lead or lag spread until it turns by `deg` at a frequency in Hz, or as far as it may. */
+function turned(controller: Controller, lead: DesignBlock, hz: number, deg: number): DesignBlock {
+  const { f1_hz, f2_hz } = lead.parameters;
+  const spread = (by: number): DesignBlock => set(lead, { f1_hz: f1_hz / Math.exp(by), f2_hz: f2_hz * Math.exp(by) });
+  let [low, high] = [-SPREAD, SPREAD];
+  for (let k = 0; k < 50; k++) {
+    const middle = 0.5 * (low + high);
+    if ((costAt(controller, spread(middle), hz)?.deg ?? 0) < deg) low = middle;
+    else high = middle;
+  }
+  return spread(0.5 * (low + high));
+}
+
 /** What a block adds at a frequency in Hz: degrees and dB. */
 export function costAt(controller: Controller, block: DesignBlock, hz: number): { deg: number; db: number } | null {
   if (!(hz > 0 && hz < 0.5 * controller.rate_hz)) return null;
