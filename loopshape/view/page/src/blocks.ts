@@ -2,7 +2,7 @@
 
 import type { Controller } from "./numbers/controller";
 import { newBlock, type Design, type DesignBlock } from "./design";
-import { button, el, focusedIn, numberField, shown, told, written } from "./dom";
+import { button, el, focusedIn, numberField, shown, setField, written } from "./dom";
 import { nameOf, NEW_BLOCKS, numbersOf, type BlockNumber } from "./numbers/forms";
 import { costAt } from "./draw/handles";
 
@@ -46,11 +46,11 @@ export class BlockList {
     this.shape = shape;
     const hz = this.crossover();
     blocks.forEach((block, k) => {
-      for (const { name, value } of numbers[k]) told(this.cards[k].fields.get(name) as HTMLInputElement, written(value));
+      for (const { name, value } of numbers[k]) setField(this.cards[k].fields.get(name) as HTMLInputElement, written(value));
       const cost = block.off ? null : costAt(controller, block, hz);
       this.cards[k].cost.textContent = block.off ? "off" : cost ? `${signed(cost.deg)}°, ${signed(cost.db)} dB` : "";
     });
-    told(this.delayed, written(computation_delay_s));
+    setField(this.delayed, written(computation_delay_s));
     this.budget.textContent = hz ? `Degrees and dB that each block adds at the crossover, ${shown(hz)} Hz.` : "No crossover.";
   }
 

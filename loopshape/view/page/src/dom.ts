@@ -47,7 +47,7 @@ export const written = (value: number): string => String(Number(value.toPrecisio
 export const typed = (text: string): number => (text.trim() === "" ? NaN : Number(text.trim().replace("−", "-").replace(",", ".")));
 
 /** What stands in a field, unless somebody types there. */
-export function told(field: HTMLInputElement, text: string): void {
+export function setField(field: HTMLInputElement, text: string): void {
   if (focusedIn(field) === field) return;
   field.value = text;
   refused(field, null);

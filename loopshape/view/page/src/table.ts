@@ -1,6 +1,6 @@
 // The table of requirements: what is required, the worst case with its interval, slack and verdict; and stability.
 
-import { button, el, numberField, shown, told } from "./dom";
+import { button, el, numberField, shown, setField } from "./dom";
 import { MASKED, requirementsAt } from "./loop/limits";
 import type { Margins } from "./loop/margins";
 import { STABILITY, worstReading, type DetuningReading } from "./loop/detuning";
@@ -79,7 +79,7 @@ export class RequirementTable {
       const cells = this.cells.get(limit.name);
       if (!row || !cells) continue;
       const common = everywhere[limit.name];
-      if (cells.required) told(cells.required, String(common));
+      if (cells.required) setField(cells.required, String(common));
       cells.own.textContent = row.required === common ? "" : `${signOf(limit)} ${shown(row.required)} ${unit(limit)} at this operating point`;
       const [isKnown, late] = limit.name === DETUNING ? [known.detuned, known.late.detuning] : [known.settled, known.late.intervals];
       this.fill(limit, row, cells, isKnown, rowOf(late, limit), rowOf(before, limit));
