@@ -19,12 +19,14 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.growth import LEAST_GAIN
 from loopshape.design.tune import Tuning, tune
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
 from loopshape.loop.loops import Closed, loops_of, matrix_loops
 from loopshape.loop.matrix.determinant import encirclement_count
+from loopshape.loop.matrix.disturbed_loops import of_each
 from loopshape.loop.stability.stability import unstable_count
 from loopshape.loop.verdict import check
 
@@ -92,6 +94,7 @@ def tune_loops(
     starts: int = 16,
     draws: int = 60,
     step: Callable[[str], None] = lambda word: None,
+    disturbances: Sequence[Disturbance] = (),
 ) -> TunedLoops:
     """Tune the loops of a plant's matrices (one an operating point) in turn; same input and seed, same controllers.
 
@@ -100,7 +103,8 @@ def tune_loops(
     without requirements stay as they are. From the second round on each search begins at the loop's own controller. A
     round in which no controller moves by more than 0.3 % ends it. `together`, `fits` and `recorded_under` serve the
     last check, as `check` has them. With `grow` each loop's structure grows in the first round, as in `tune`. `step`
-    is called with a word after each tuning.
+    is called with a word after each tuning. `disturbances`, of all loops at the same time, tell what `error_rms` is
+    about; the search then begins at `controllers` of all loops.
 
     With the others closed the plant of a loop may be unstable where they need it to be stable: the unstable poles of
     each such plant are counted from the matrix. What comes out is a point that no loop improves on alone, not the best
@@ -110,7 +114,12 @@ def tune_loops(
     wishes = {one.loop: one for one in requirements}
     names = (*wishes, *(name for name in given if name not in wishes))
     squares = [square_part(frf, names, least=1)[0] for frf in frfs]
-    state = _State(squares, names, wishes, dict(given))
+    if disturbances and (missing := [name for name in names if name not in given]):
+        raise WrongUseError(
+            "what disturbs several loops is carried over from controllers of all of them",
+            f"no start for {', '.join(missing)}", "give --start a file with all loops",
+        )  # fmt: skip
+    state = _State(squares, names, wishes, dict(given), disturbances)
     growing = {"grow": grow, "least_gain": least_gain}
     turns: list[Turn] = []
     for number in range(1, rounds + 1):
@@ -123,7 +132,16 @@ def tune_loops(
         if all(turn.moved < STILL for turn in mine):
             break
     found = tuple(state.controllers[name] for name in names)
-    verdict = check(frfs, found, requirements, fits, together=together, closed=names, recorded_under=recorded_under)
+    verdict = check(
+        frfs,
+        found,
+        requirements,
+        fits,
+        together=together,
+        closed=names,
+        recorded_under=recorded_under,
+        disturbances=disturbances,
+    )
     still = all(turn.moved < STILL for turn in turns[-len(wishes) :])
     return TunedLoops(found, tuple(turns), verdict, still, tuple(dict.fromkeys(state.notes)))
 
@@ -136,6 +154,7 @@ class _State:
     names: tuple[str, ...]
     wishes: dict[str, Requirements]
     controllers: dict[str, Controller]
+    disturbances: Sequence[Disturbance] = ()
     notes: list[str] = field(default_factory=list)
 
     def turn(self, number: int, loop: str, search: Mapping[str, Any]) -> Turn:
@@ -144,13 +163,21 @@ class _State:
         plants = [self._equivalent(frf, loop, others, k) for frf, k in zip(self.frfs, count(1))]
         self.wishes[loop] = replace(self.wishes[loop], structure=bounded(self.wishes[loop].structure, plants))
         wish = self._wish(loop, others, plants)
-        before = self.controllers.get(loop)
+        before, search = self.controllers.get(loop), {**search, "disturbances": self._disturbed(loop)}
         found = tune(plants, wish, start=before, explain=False, **{**search, **({} if number == 1 else {"starts": 1})})
         if number > 1 and not found.feasible:
             found = tune(plants, wish, start=before, explain=False, **search)
         self.controllers[loop] = found.controller
         self.wishes[loop] = replace(self.wishes[loop], structure=found.structure)
         return Turn(number, loop, others, found, _moved(before, found.controller, self.frfs[0].frequency_hz))
+
+    def _disturbed(self, loop: str) -> list[Disturbance]:
+        """What disturbs one loop under the controllers as they stand, its own with them."""
+        if not self.disturbances:
+            return []
+        own = tuple(self.controllers[name] for name in self.names)
+        loops, _ = matrix_loops(Closed(tuple(self.frfs), own, ()), Requirements(unstable_poles=0))
+        return [replace(one, carried=None) for one in of_each(loops, self.disturbances)[loop]]
 
     def _part(self, frf: FRF, names: Sequence[str]) -> FRF:
         k = [self.names.index(name) for name in names]

@@ -45,22 +45,22 @@ def _refuse(recording: Recording, loop: LoopSetup) -> None:
         )  # fmt: skip
 
 
-def disturbances_in(run: Run, loop: str) -> tuple[Disturbance, ...]:
-    """What disturbs a loop at each operating point of a run: the longest recording there that shows it.
+def disturbances_in(run: Run, *loops: str) -> tuple[Disturbance, ...]:
+    """What disturbs loops at each operating point of a run: the longest recording there that shows it of all of them.
 
     Raises BadSignalError, with the reason for the first recording, where none does.
     """
-    setup, longest = run.loop(loop), dict[object, tuple[int, Disturbance]]()
+    setups, longest = [run.loop(loop) for loop in loops], dict[object, list[Disturbance]]()
     refused: BadSignalError | None = None
     for recording in run.recordings:
         try:
-            found = disturbance_of(recording, setup)
+            found = [disturbance_of(recording, setup) for setup in setups]
         except BadSignalError as error:
             refused = refused or error
             continue
-        point = tuple(sorted(found.operating_point.items()))
-        if found.power.size > longest.get(point, (0, found))[0]:
-            longest[point] = (found.power.size, found)
+        point = tuple(sorted(recording.info.operating_point.items()))
+        if point not in longest or found[0].power.size > longest[point][0].power.size:
+            longest[point] = found
     if not longest:
-        raise refused or BadSignalError(f"the run has no recording of loop {loop}", "", "record one")
-    return tuple(found for _, found in longest.values())
+        raise refused or BadSignalError(f"the run has no recording of loop {', '.join(loops)}", "", "record one")
+    return tuple(one for found in longest.values() for one in found)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import LongSignal, Signal, stretches
@@ -98,6 +97,8 @@ def _gaps(off: Array, limit: float) -> tuple[int, int]:
     """How many lasting shifts by more than `limit` samples, and the row of the first."""
     if off.size < 3:
         return 0, 0
+    from scipy.ndimage import median_filter
+
     half = min(SEEN_OVER, max(3, off.size // 4)) // 2
     level = median_filter(off, 2 * half + 1, mode="nearest")
     shift = np.abs(level[half + 1 :] - level[: -half - 1]) > limit

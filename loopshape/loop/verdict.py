@@ -29,9 +29,9 @@ from loopshape.loop.margin.disturbed import (
     disturbance_warnings,
     of_loop,
     of_points,
-    refuse_disturbed,
 )
 from loopshape.loop.margin.margins import margins
+from loopshape.loop.matrix.disturbed_loops import of_each
 from loopshape.loop.matrix.matrix_margins import matrix_margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import point_outcome
@@ -110,11 +110,11 @@ def check_loops(
 
     A limit of one loop that breaks where the plant's resonances move by up to 2 % is warned of, unless
     `detuning_percent` is required; `detuned` false leaves the detuning margin out where it is not required.
-    `disturbances` tell what one loop's `error_rms` and the limits on its input are about, at their operating points;
-    one alone serves all.
+    `disturbances` tell what `error_rms` and the limits on the plant's input are about, at their operating points; one
+    alone serves all. Of several loops they are recordings of all loops at the same time.
 
     Refuses loops without a controller or an output, requirements of loops that are not there, several rates, what
-    disturbs several loops, limits on singular values where outputs have different units.
+    disturbs some of several loops alone, limits on singular values where outputs have different units.
     """
     asked = (requirements,) if isinstance(requirements, Requirements) else tuple(requirements)
     every = (controllers,) if isinstance(controllers, Controller | GainScheduled) else tuple(controllers)
@@ -126,9 +126,13 @@ def check_loops(
     if len(asked) > 1 or len(chosen.names) > 1:
         _refuse_unknown(asked, chosen.names)
     if len(chosen.names) > 1:
-        refuse_disturbed(chosen.names, disturbances)
+        if disturbances and any(len(frf.inputs) > len(chosen.names) for frf in frfs):
+            raise WrongUseError(
+                "the errors of several loops follow from those of all", f"{', '.join(chosen.names)} of more loops",
+                "close all loops, or leave the disturbance out",
+            )  # fmt: skip
         loops, notes = matrix_loops(chosen, whole := (together or Requirements()).of_all())
-        found, each = _verdict_on_all(loops, chosen, asked, whole, fits, notes)
+        found, each = _verdict_on_all(loops, chosen, asked, whole, fits, notes, of_each(loops, disturbances))
     else:
         required = asked[0] if asked else Requirements(chosen.names[0])
         required = required if together is None else required.with_all(together.of_all())
@@ -184,6 +188,7 @@ def _verdict_on_all(
     together: Requirements,
     fits: Sequence[Fit],
     notes: Sequence[str],
+    disturbed: Mapping[str, Sequence[Disturbance]],
 ) -> tuple[Verdict, tuple[LoopCheck, ...]]:
     """The verdict on several loops at once, and the check of each with the others closed."""
     found = {loop.plant.recording: matrix_margins(loop) for loop in loops}
@@ -192,7 +197,8 @@ def _verdict_on_all(
     for name, own in zip(closed.names, closed.controllers, strict=True):
         required = replace(asked.get(name, Requirements(name)), integrators=None, unstable_poles=None)
         plants = equivalent_plants(name, loops)
-        alone, mine = _check_one(plants, own, required, fits, detuned=False, counted=False)
+        known = disturbed.get(name, ())
+        alone, mine = _check_one(plants, own, required, fits, detuned=False, counted=False, disturbances=known)
         why = "by the count of all loops at once"
         counts = {k: replace(alone.margins[k], stable=m.stable, stability_reason=why) for k, m in found.items()}
         alone = replace(alone, margins={k: replace(m, stability_band_hz=None) for k, m in counts.items()})

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.equivalent import Diagram
-from loopshape.design.tune import Tuning
+
+if TYPE_CHECKING:
+    from loopshape.design.tune import Tuning
 
 Plants = FRF | Sequence[FRF] | Diagram
 
 
 def controller_of(given: Controller | Tuning) -> Controller:
     """The controller, also of a tuning."""
-    return given.controller if isinstance(given, Tuning) else given
+    return given if isinstance(given, Controller) else given.controller
 
 
 def required_of(

@@ -22,7 +22,6 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
-from loopshape.design.tune import Tuning
 from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants, plants_of, required_of
 from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from loopshape.data.response.interaction import Interaction
     from loopshape.data.result.prediction import Comparison, Prediction
     from loopshape.data.signal.disturbance import Disturbance
+    from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
     from loopshape.loop.predict.remeasured import Remeasured
     from loopshape.view.page.widget import ShapeWidget
@@ -206,7 +206,6 @@ def tune(
     """
     from loopshape.design.tune import tune as tune_one
     from loopshape.design.turns import tune_loops
-    from loopshape.loop.margin.disturbed import refuse_disturbed
 
     asked, together = required_of(R, together)
     asked = asked if structure is None else [replace(one, structure=tuple(structure)) for one in asked]
@@ -221,10 +220,18 @@ def tune(
         one = replace(one, structure=bounded(one.structure, plants))
         known = point_disturbances(disturbance, plants[0].loop)
         return tune_one(plants, one, tuple(fits), start=initial[0] if initial else None, disturbances=known, **search)
-    refuse_disturbed([one.loop for one in asked], disturbance)
+    known = point_disturbances(disturbance, *dict.fromkeys(loops))
     with (watch or Unwatched()).progress("tune", 2 * len(asked)) as step:
         return tune_loops(
-            plants_of(P), asked, initial, together, fits=fits, recorded_under=recorded_under, step=step, **search
+            plants_of(P),
+            asked,
+            initial,
+            together,
+            fits=fits,
+            recorded_under=recorded_under,
+            step=step,
+            disturbances=known,
+            **search,
         )
 
 
@@ -254,9 +261,9 @@ def check(
     where nothing declares them. The verdict's `each` is that of each loop. One controller in a list is one loop. Raises
     WrongUseError for a loop without a controller.
 
-    `disturbance` tells what disturbs a single loop: a run (or its folder) with recordings of the closed loop that
-    nothing excites, under a controller that it knows, or `ls.Disturbance`. Each operating point's `error_rms` is then
-    the rms of the error under `C` with its interval, and `R.error_rms` limits it.
+    `disturbance` tells what disturbs the loops: a run (or its folder) with recordings of the closed loops that nothing
+    excites, under controllers that it knows, or `ls.Disturbance`, of several loops one each of the same time. Each
+    operating point's `error_rms` is then the rms of the error under `C` with its interval, and `R.error_rms` limits it.
 
     Examples
     --------
@@ -267,7 +274,6 @@ def check(
     >>> ls.check(P, C, ls.Requirements(modulus_margin=0.5, unstable_poles=0)).passed
     True
     """
-    from loopshape.loop.margin.disturbed import refuse_disturbed
     from loopshape.loop.verdict import check as check_loops
 
     given = C if isinstance(C, Sequence) else (C,)
@@ -278,8 +284,8 @@ def check(
         asked = [one]
     else:
         plants = plants_of(P)
-        refuse_disturbed(loops or [one.loop for one in own], disturbance)
-    disturbed = point_disturbances(disturbance, plants[0].loop if loops is None else loops[0])
+    names = loops or [one.loop for one in own]
+    disturbed = point_disturbances(disturbance, *(names if len(names) > 1 or loops else [plants[0].loop]))
     return check_loops(
         plants, own, asked, tuple(fits), together=together, closed=loops, recorded_under=recorded_under,
         disturbances=disturbed,
@@ -287,9 +293,9 @@ def check(
 
 
 def point_disturbances(
-    given: Disturbance | Run | str | Path | Sequence[Disturbance] | None, loop: str
+    given: Disturbance | Run | str | Path | Sequence[Disturbance] | None, *loops: str
 ) -> tuple[Disturbance, ...]:
-    """What disturbs a loop, at each operating point: the longest recording there that shows it.
+    """What disturbs loops, at each operating point: the longest recording there that shows it.
 
     Raises BadSignalError for a run without such a recording.
     """
@@ -301,7 +307,7 @@ def point_disturbances(
     if isinstance(given, Disturbance):
         return (given,)
     if isinstance(given, Run | str | Path):
-        return disturbances_in(given if isinstance(given, Run) else read(given), loop)
+        return disturbances_in(given if isinstance(given, Run) else read(given), *loops)
     return tuple(given)
 
 

@@ -60,8 +60,8 @@ def draw_run(
     """The figures of a run: FRFs with fits, parameter maps, and the loops of a controller file under requirements."""
     from loopshape.data.requirement.requirements import Requirements
     from loopshape.io.requirements import read_requirements
-    from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.fits import fits_of
     from loopshape.io.write.frfs import read_frfs
     from loopshape.loop.verdict import check_loops
 
@@ -145,9 +145,9 @@ def draw_loops(
         f"nichols_{name}": figure_of(nichols(loops, requirements, verdict=verdict)),
         f"loop_{name}": page or loop_page(loops, requirements, verdict=verdict),
         f"sensitivities_{name}": sensitivities(loops, requirements, verdict=verdict),
-        f"atlas_{name}": sensitivity_atlas(loops, requirements, verdict=verdict),
     }
     if len(loops) > 1:
+        made[f"atlas_{name}"] = sensitivity_atlas(loops, requirements, verdict=verdict)
         worst = loops[worst_of(loops, verdict).index]
         made[f"bode_{name}_{worst.plant.recording}"] = bode_page(worst, requirements, verdict=verdict)
     if verdict is not None and verdict.lines and len(loops) > 1:  # of one point the table says it all

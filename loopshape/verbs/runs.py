@@ -16,26 +16,24 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.prediction import Comparison, Prediction
 from loopshape.data.result.verdict_words import page_text
-from loopshape.design.tune import Tuning
 from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.folder_lock import locked
 from loopshape.io.requirements import joined, profile_of, read_required, read_requirements
-from loopshape.io.write.check_files import Baseline, Checks, against, check_all, fits_of, read_diagram, recorded_under
 from loopshape.io.write.controllers import read_controllers
-from loopshape.io.write.fits import write_fits
+from loopshape.io.write.fits import fits_of, write_fits
 from loopshape.io.write.frfs import FOLDER, has_any, read_all_loops, read_frfs
 from loopshape.io.write.predictions import read_predictions
 from loopshape.io.write.verdicts import write_verdicts
-from loopshape.loop.predict.remeasured import Remeasured
 from loopshape.verbs import chain
 from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
-from loopshape.view.verdict.junit import junit
-from loopshape.view.verdict.markdown import markdown
 
 if TYPE_CHECKING:
     from loopshape.data.response.interaction import Interaction
+    from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
+    from loopshape.io.write.check_files import Baseline, Checks
+    from loopshape.loop.predict.remeasured import Remeasured
 
 
 def fit(
@@ -74,6 +72,8 @@ def interactions(
 
     The others are closed by the controllers of a file, else by those that the run was recorded under.
     """
+    from loopshape.io.run.run_folder import recorded_under
+
     closing = recorded_under(run) if controllers is None else read_controllers(controllers)
     found = []
     for one in read_all_loops(run):
@@ -113,8 +113,11 @@ def tune(
 
     Each by itself, `each` called with it as soon as it is tuned, or with `matrix` in turn with the others closed; a
     profile then limits each with the others closed. Refuses a file to `start` from without any of these loops, and with
-    `matrix` a diagram and a disturbance.
+    `matrix` a diagram.
     """
+    from loopshape.design.turns import TunedLoops
+    from loopshape.io.run.run_folder import recorded_under
+
     given, together = read_required(require) if matrix else (read_requirements(require), None)
     requirements, chosen = joined(profile, given)
     initial = _to_start(start, [one.loop for one in requirements])
@@ -133,7 +136,7 @@ def tune(
         read_all_loops(run), requirements, start=[*initial.values()], together=together,
         recorded_under=recorded_under(run), disturbance=disturbance, grow=grow, watch=watch, **search,
     )  # fmt: skip
-    if isinstance(found, Tuning):
+    if not isinstance(found, TunedLoops):
         return TunedRun((found,), _missed([found]), chosen)
     missed = "" if found.feasible else "the loops do not meet all requirements together"
     return TunedRun(tuple(found.tunings.values()), missed, chosen, found)
@@ -146,6 +149,8 @@ def _alone(
     """Each loop by itself, or the tuned block of a diagram."""
     frfs, fits = read_frfs(run), fits_of(run)
     if diagram is not None:
+        from loopshape.io.write.check_files import read_diagram
+
         equivalent = read_diagram(diagram, run).equivalent()
         frfs, fits, requirements = equivalent.plants, (), tuple(map(equivalent.asked, requirements))
     for required in requirements:
@@ -242,6 +247,8 @@ def check(
 
     `options` as in `check_all`. Refuses reports on nothing required.
     """
+    from loopshape.io.write.check_files import against, check_all
+
     reports = reports or Reports()
     chosen = None if profile is None else profile_of(profile)
     required = require is not None or chosen is not None
@@ -256,6 +263,9 @@ def check(
 
 def write_reports(found: CheckedRun, reports: Reports) -> None:
     """Write the files that report on a check."""
+    from loopshape.view.verdict.junit import junit
+    from loopshape.view.verdict.markdown import markdown
+
     checks, compared = found.checks, found.compared
     for path in (one for one in (reports.junit, reports.markdown) if one is not None):
         make_folder(path.parent)

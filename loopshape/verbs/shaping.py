@@ -125,8 +125,8 @@ def matrix_run(run: Path, require: Path | None, controller: Path | None) -> tupl
 def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[ShapingSession]:
     """Loops of a requirements file, else those of a controller file, else all that have an FRF."""
     from loopshape.io.requirements import read_requirements
-    from loopshape.io.write.check_files import fits_of
     from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.fits import fits_of
     from loopshape.io.write.frfs import read_frfs
 
     frfs, fits = read_frfs(run), fits_of(run)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.gate import gated, pass_fields
-from loopshape.core.units import Array
+from loopshape.core.units import Array, ComplexArray
 from loopshape.data.arrays import real_array
 from loopshape.data.control.controller import Controller
 
@@ -170,13 +170,18 @@ class Disturbance:
 
 def powers(values: Array, rate_hz: float) -> tuple[Array, Array, Array]:
     """Frequencies in Hz of a signal's lines, the power on each, and the variance of that, for noise; (nf,) each."""
+    found, correlated = amplitudes(values)
+    power = np.abs(found) ** 2
+    return np.asarray(np.fft.rfftfreq(values.size, 1.0 / rate_hz)[1:], dtype=float), power, 0.5 * correlated * power**2
+
+
+def amplitudes(values: Array) -> tuple[ComplexArray, float]:
+    """A signal's lines (nf,) without its mean, their squares its power, and how many of them share one's error."""
     from scipy.signal.windows import tukey
 
     n = values.size
     window = tukey(n, FADED, sym=False)
-    spectrum = np.abs(np.fft.rfft((values - values.mean()) * window)[1:]) ** 2
-    power = 2.0 * spectrum / (n * float(window @ window))
+    found = np.fft.rfft((values - values.mean()) * window)[1:] * np.sqrt(2.0 / (n * float(window @ window)))
     if n % 2 == 0:
-        power[-1] *= 0.5
-    correlated = n * float(np.sum(window**4)) / float(window @ window) ** 2
-    return np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz)[1:], dtype=float), power, 0.5 * correlated * power**2
+        found[-1] *= np.sqrt(0.5)
+    return found, n * float(np.sum(window**4)) / float(window @ window) ** 2

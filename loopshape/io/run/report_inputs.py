@@ -19,10 +19,11 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.fit import modes
 from loopshape.io.requirements import read_required
-from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run
+from loopshape.io.run.run_folder import RUN_TOML, check_recordings, read_run, recorded_under
 from loopshape.io.run.run_inputs import given_text, input_files, stored_figures
-from loopshape.io.write.check_files import fits_of, read_diagram, recorded_under
+from loopshape.io.write.check_files import read_diagram
 from loopshape.io.write.controllers import read_controllers
+from loopshape.io.write.fits import fits_of
 from loopshape.io.write.frfs import FOLDER, MATRICES, has_any, read_all_loops, read_frfs, read_matrices
 from loopshape.loop.run_report import Envelope, FittedModel, Missing, RecordingSheet, RunReport
 from loopshape.loop.verdict import LoopCheck, check_loops

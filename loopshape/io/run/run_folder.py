@@ -18,6 +18,7 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.stretches import LongSignal, Signal, equal
+from loopshape.data.control.controller import Controller
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles
@@ -83,6 +84,12 @@ def _check_extra(words: ConfigTable) -> None:
     words.numbers("parameters")
     words.numbers("effects")
     words.list_of_texts("notes")
+
+
+def recorded_under(run: Path) -> tuple[Controller, ...]:
+    """Controllers under which a run was recorded, as far as it knows them."""
+    loops = read_run(run).loops if (run / RUN_TOML).exists() else ()
+    return tuple(loop.controller for loop in loops if loop.controller is not None)
 
 
 def has_run(folder: Path) -> bool:

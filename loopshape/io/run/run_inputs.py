@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from loopshape.io.files import PART, reading
 from loopshape.io.provenance import file_sha256
-from loopshape.loop.run_report import GivenText, InputFile, StoredFigure
+
+if TYPE_CHECKING:
+    from loopshape.loop.run_report import GivenText, InputFile, StoredFigure
 
 FIGURES = "figures"
 #: what a report never reads: reports, and what a killed write left
@@ -39,6 +42,8 @@ def _stays(path: Path, folder: Path) -> bool:
 
 
 def _input(name: str, path: Path) -> InputFile:
+    from loopshape.loop.run_report import InputFile
+
     with reading(path, "a file of a run"):
         size = path.stat().st_size
     return InputFile(name, size, file_sha256(path))
@@ -52,6 +57,8 @@ def stored_figures(
     They are taken by rising `rank` of their name, then by name; those of rank 0 enter whatever their size; of the
     others one too large is passed over and smaller ones after it still enter.
     """
+    from loopshape.loop.run_report import StoredFigure
+
     found, left, used = [], {}, 0
     paths = [p for p in (folder / FIGURES).glob("*") if p.is_file() and not p.name.startswith(".")]
     for path in sorted(paths, key=lambda p: (rank(p.name), p.name)):
@@ -75,5 +82,7 @@ def stored_figures(
 
 def given_text(what: str, path: Path) -> GivenText:
     """A file of words as it stands; refuses one that is no UTF-8."""
+    from loopshape.loop.run_report import GivenText
+
     with reading(path, "text"):
         return GivenText(what, path.name, path.read_text(encoding="utf-8"))

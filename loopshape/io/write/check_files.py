@@ -13,20 +13,18 @@ from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.model import Fit
 from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.equivalent import Diagram, Equivalent
 from loopshape.data.result.verdict import Verdict
 from loopshape.identify.disturbance import disturbances_in
 from loopshape.io.requirements import read_required
-from loopshape.io.run.run_folder import RUN_TOML, read_run
+from loopshape.io.run.run_folder import read_run, recorded_under
 from loopshape.io.write.controllers import read_controllers
-from loopshape.io.write.fits import read_fits
+from loopshape.io.write.fits import fits_of
 from loopshape.io.write.frfs import read_all_loops, read_frfs
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.baseline import bridge, compare
 from loopshape.loop.loops import closed_loops
-from loopshape.loop.margin.disturbed import refuse_disturbed
 from loopshape.loop.verdict import LoopCheck, check_loops
 
 
@@ -105,7 +103,7 @@ def check_all(
 
     Several loops are checked at once, on the run's matrices, where `matrix` or the table [several] of the requirements
     asks for it; `closed` are then those that are closed, all by default. With a `profile` its limits hold too.
-    `disturbance` is the folder of a run that shows what disturbs the single loops; a `diagram` is checked at its tuned
+    `disturbance` is the folder of a run that shows what disturbs the loops; a `diagram` is checked at its tuned
     block.
 
     Refuses files that cannot be read, a loop without a controller, one without FRFs, and for several loops a run that
@@ -126,11 +124,13 @@ def check_all(
     asked = requirements or ()
     frfs, under = read_all_loops(run), recorded_under(run)
     chosen = closed_loops(frfs, controllers, closed)
-    refuse_disturbed(chosen.names, disturbance)
+    known = () if disturbance is None else disturbances_in(read_run(disturbance), *chosen.names)
     if profile is not None:
         given = {one.loop: one for one in asked}
         asked = tuple(profile.joined(given.get(name, Requirements(name))) for name in chosen.names)
-    checked = check_loops(frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under)
+    checked = check_loops(
+        frfs, controllers, asked, together=together, closed=chosen.names, recorded_under=under, disturbances=known
+    )
     return Checks((checked,))
 
 
@@ -195,18 +195,6 @@ def against(baseline: Path, loops: Sequence[LoopCheck]) -> Baseline:
 
 def _of(loops: Sequence[LoopCheck], names: set[str]) -> list[LoopCheck]:
     return [loop for loop in loops if loop.verdict.loop in names]
-
-
-def fits_of(run: Path) -> tuple[Fit, ...]:
-    """The run's fits, none where nothing was fitted yet."""
-    return read_fits(run) if (run / "fits.json").exists() else ()
-
-
-def recorded_under(run: Path) -> tuple[Controller, ...]:
-    """Controllers under which a run was recorded, as far as it knows them."""
-    if not (run / RUN_TOML).exists():
-        return ()
-    return tuple(loop.controller for loop in read_run(run).loops if loop.controller is not None)
 
 
 def controller_of(controllers: Sequence[Controller], loop: str) -> Controller:

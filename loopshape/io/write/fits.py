@@ -30,6 +30,11 @@ def _file(place: Path) -> Path:
     return place if place.suffix == ".json" and not place.is_dir() else place / FILE
 
 
+def fits_of(run: Path) -> tuple[Fit, ...]:
+    """The run's fits, none where nothing was fitted yet."""
+    return read_fits(run) if (run / FILE).exists() else ()
+
+
 def read_fits(place: Path) -> tuple[Fit, ...]:
     """The fits of a run's folder, or of a file; refuses a run that has none, another format, and a damaged file."""
     path = _file(place)

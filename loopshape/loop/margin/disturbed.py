@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -86,71 +87,99 @@ class _Power(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _Carried:
-    """A disturbance on its lines (nf,), and the loop there under both controllers."""
+class Carried:
+    """What disturbs a loop, on its lines (nf,), from under old controllers to under new ones.
+
+    `error` is the error under the new ones and `before` that under the old, as amplitudes whose squares are power;
+    `scatter` is the variance of the power under the new ones. `moves` (k, nf) is how far relative errors of the plant's
+    k elements, of `covariance` (lines, k, k) on the FRF's own lines, move `error`; `flat` is `error` were the plant
+    above its last line as it is there.
+    """
 
     f: Array
-    power: Array
+    before: ComplexArray
+    error: ComplexArray
     scatter: Array
-    C0: ComplexArray
     C1: ComplexArray
+    moves: ComplexArray
     there: Continued
-    last: complex
+    covariance: ComplexArray
+    flat: ComplexArray
     band_hz: Interval
-    relative: Array
     overlap: float
 
-    def ratio(self, P: ComplexArray | complex) -> ComplexArray:
-        """S under the new controller over S under the old one."""
-        return np.asarray((1.0 + self.C0 * P) / (1.0 + self.C1 * P))
+    @cached_property
+    def bias(self) -> Array:
+        """What the plant's errors add to the power of the error (nf,), to second order."""
+        found, others = np.zeros(self.f.size, dtype=complex), self.moves.conj()
+        for k, own in enumerate(self.moves):
+            found += own * np.sum(self.there.bias(self.covariance[:, k]).T * others, axis=0)
+        return np.asarray(found.real)
 
     def through(self, weight: Array, bursts: float = 1.0) -> _Power:
         """Mean square of the error times a filter of squared magnitude `weight` (nf,); it scatters `bursts` times."""
-        P, power, scatter = self.there.response, self.power * weight, self.scatter * weight**2
-        ratio = self.ratio(P)
-        toward = P * (self.C0 - self.C1) / (1.0 + self.C1 * P) ** 2  # by a relative error of P
-        kept = np.maximum(np.abs(ratio) ** 2 - np.abs(toward) ** 2 * self.there.bias(self.relative), 0.0)
-        mean = float(power @ kept)
-        each = self.there.collected(power * ratio.conj() * toward, self.relative.size)
-        variance = 2.0 * self.overlap * float(np.sum(np.abs(each) ** 2 * self.relative))
-        variance += bursts * float(scatter @ np.abs(ratio) ** 4)
+        kept = np.maximum(np.abs(self.error) ** 2 - self.bias, 0.0)
+        mean = float(weight @ kept)
+        each = np.array(
+            [self.there.collected(weight * self.error.conj() * x, len(self.covariance)) for x in self.moves]
+        )
+        variance = 2.0 * self.overlap * float(np.einsum("al,lab,bl->", each, self.covariance, each.conj()).real)
+        variance += bursts * float(self.scatter @ weight**2)
         above = self.f > self.band_hz[1]
-        flat = np.abs(self.ratio(self.last)) ** 2
-        apart = [float(power[above] @ (x - kept)[above]) for x in (np.ones(self.f.size), flat)]
+        apart = [float(weight[above] @ (np.abs(x) ** 2 - kept)[above]) for x in (self.before, self.flat)]
         low, high = rms_interval(mean, variance)
         return _Power(mean, max(low**2 + min(0.0, *apart), 0.0), high**2 + max(0.0, *apart))
 
     def outside(self) -> float:
         """Share of the error's power outside the measured band."""
-        each = self.power * np.abs(self.ratio(self.there.response)) ** 2
+        each = np.abs(self.error) ** 2
         off = (self.f > self.band_hz[1]) | (self.f < self.band_hz[0])
         return float(each[off].sum()) / max(float(each.sum()), 1e-300)
 
 
-def _carried(loop: Loop, disturbance: Disturbance) -> _Carried:
-    held, rate_hz = disturbance.recorded_under, loop.controller.rate_hz
+@dataclass(frozen=True, eq=False)
+class OneOfSeveral(Disturbance):
+    """What disturbs one of several loops: its error while all of them run under their new controllers."""
+
+    carried: Carried | None = None
+
+
+def _carried(loop: Loop, disturbance: Disturbance) -> Carried:
+    if isinstance(disturbance, OneOfSeveral) and disturbance.carried is not None:
+        return disturbance.carried
+    rate_hz = loop.controller.rate_hz
+    refuse_other_rate(disturbance, loop.plant.loop, rate_hz)
+    f, power, scatter = _lines_of(disturbance, rate_hz)
+    plant, before = _plant(loop), np.sqrt(power).astype(complex)
+    there = continued(plant, f, loop.integrators or 0)
+    C0, C1, P = _old(disturbance, f), loop.controller.response(f), there.response
+    ratio = (1.0 + C0 * P) / (1.0 + C1 * P)  # S under the new controller over S under the old one
+    toward = P * (C0 - C1) / (1.0 + C1 * P) ** 2  # by a relative error of P
+    relative = plant.variance[:, 0, 0] / np.abs(plant.siso) ** 2
+    return Carried(
+        f=f, before=before, error=before * ratio, scatter=scatter * np.abs(ratio) ** 4, C1=C1,
+        moves=(before * toward)[None], there=there, covariance=relative[:, None, None].astype(complex),
+        flat=before * (1.0 + C0 * plant.siso[-1]) / (1.0 + C1 * plant.siso[-1]),
+        band_hz=(float(plant.frequency_hz[0]), float(plant.frequency_hz[-1])), overlap=plant.line_overlap,
+    )  # fmt: skip
+
+
+def _lines_of(disturbance: Disturbance, rate_hz: float) -> list[Array]:
+    """Frequencies above 0 Hz and below half the rate, the power there and its variance."""
+    rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
+    return [x[rows] for x in (disturbance.frequency_hz, disturbance.power, disturbance.scatter)]
+
+
+def refuse_other_rate(disturbance: Disturbance, loop: str, rate_hz: float) -> None:
+    """Refuse what was recorded at another rate in Hz than the new controller's."""
+    held = disturbance.recorded_under
     own_hz = disturbance.rate_hz if held is None else held.rate_hz
     if own_hz is not None and abs(own_hz - rate_hz) > 1e-6 * rate_hz:
         raise WrongUseError(
-            f"what disturbs loop {loop.plant.loop} was recorded at another rate than the controller's",
+            f"what disturbs loop {loop} was recorded at another rate than the controller's",
             f"{own_hz:g} Hz and {rate_hz:g} Hz",
             "record it with a controller of this rate",
         )
-    rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
-    f, power, scatter = (x[rows] for x in (disturbance.frequency_hz, disturbance.power, disturbance.scatter))
-    plant = _plant(loop)
-    return _Carried(
-        f=f,
-        power=power,
-        scatter=scatter,
-        C0=_old(disturbance, f),
-        C1=loop.controller.response(f),
-        there=continued(plant, f, loop.integrators or 0),
-        last=complex(plant.siso[-1]),
-        band_hz=(float(plant.frequency_hz[0]), float(plant.frequency_hz[-1])),
-        relative=plant.variance[:, 0, 0] / np.abs(plant.siso) ** 2,
-        overlap=plant.line_overlap,
-    )
 
 
 def _plant(loop: Loop) -> FRF:
@@ -197,7 +226,7 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     changed, readings = (Factors(),) * 3, dict[str, Reading]()
     if control_range is not None:
         actuator = _actuator(loop, disturbance, control_range)
-        records = own.pieces() if unlike else _at_random(loop, disturbance, carried, samples)
+        records = own.pieces() if unlike else _at_random(loop, disturbance, samples)
         if disturbance.repeats:  # the move without the rest after it
             records = [Record(own.control[moving], own.error[moving])]
         changed = _changed(loop, control, actuator, records, counted=unlike or disturbance.repeats)
@@ -221,7 +250,7 @@ class _Weights(NamedTuple):
     jerk: Array
 
 
-def _weights(carried: _Carried, rate_hz: float) -> _Weights:
+def _weights(carried: Carried, rate_hz: float) -> _Weights:
     control, faster = np.abs(carried.C1) ** 2, np.abs(change(carried.f, rate_hz)) ** 2
     return _Weights(np.ones(control.size), control, control * faster, control * faster**2)
 
@@ -311,12 +340,13 @@ def _recorded(loop: Loop, disturbance: Disturbance) -> Record:
     return Record(made.control[edge : n - edge], made.error[edge : n - edge])
 
 
-def _at_random(loop: Loop, disturbance: Disturbance, carried: _Carried, samples: float) -> list[Record]:
+def _at_random(loop: Loop, disturbance: Disturbance, samples: float) -> list[Record]:
     """Records of the linear loop with the disturbance's spectrum and phases at random, the same each time."""
     n = int(min(samples, LONGEST) if samples > 0.0 else LONGEST) // 2 * 2
     f, rng = _lines(n, loop.controller.rate_hz), np.random.default_rng(0)
     edges = np.concatenate([[0.0], 0.5 * (f[1:] + f[:-1]), [0.5 * loop.controller.rate_hz]])
-    power = np.diff(np.interp(edges, np.append(0.0, carried.f), np.append(0.0, np.cumsum(carried.power))))
+    own_hz, power, _ = _lines_of(disturbance, loop.controller.rate_hz)
+    power = np.diff(np.interp(edges, np.append(0.0, own_hz), np.append(0.0, np.cumsum(power))))
     phases = np.exp(2j * np.pi * rng.random((RECORDS, f.size)))
     return [_through_time(loop, _old(disturbance, f), n * np.sqrt(0.5 * power) * one, n) for one in phases]
 
@@ -403,18 +433,9 @@ def of_loop(loop: Loop, margins: Margins, disturbance: Disturbance, required: Re
     return disturbed(loop, disturbance, required.control_range)
 
 
-def refuse_disturbed(names: Sequence[str], disturbances: object) -> None:
-    """Refuse what disturbs one loop where several loops are closed anew."""
-    if len(names) > 1 and disturbances:
-        raise WrongUseError(
-            "the error of several loops follows from what disturbs all of them, which a recording of one does not tell",
-            f"loops {', '.join(names)} and a disturbance", "take one loop alone",
-        )  # fmt: skip
-
-
 def of_points(loops: Mapping[str, Loop], disturbances: Sequence[Disturbance]) -> dict[str, Disturbance]:
     """The disturbance of each operating point by its name: that recorded there; one alone serves all."""
-    if len(disturbances) == 1:
+    if len(disturbances) == 1 and not isinstance(disturbances[0], OneOfSeveral):
         return dict.fromkeys(loops, disturbances[0])
     known = {tuple(sorted(one.operating_point.items())): one for one in disturbances}
     points = {name: tuple(sorted(loop.plant.operating_point.items())) for name, loop in loops.items()}

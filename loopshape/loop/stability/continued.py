@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
 
+T = TypeVar("T", Array, ComplexArray)
 #: slope with which a plant is taken to fall above its highest frequency
 ABOVE = 2.0
 
@@ -36,9 +38,10 @@ class Continued:
         np.add.at(each, self.line + 1, (1.0 - self.share) * pull)
         return each
 
-    def bias(self, variance: Array) -> Array:
-        """Relative variance (nf,) here of lines whose relative errors have this variance (lines,), by themselves."""
-        return np.asarray(self.share**2 * variance[self.line] + (1.0 - self.share) ** 2 * variance[self.line + 1])
+    def bias(self, variance: T) -> T:
+        """Relative covariance (nf, ...) here of lines whose relative errors have this one (lines, ...)."""
+        share = self.share.reshape(-1, *(1,) * (variance.ndim - 1))
+        return share**2 * variance[self.line] + (1.0 - share) ** 2 * variance[self.line + 1]
 
 
 def continued(plant: FRF, f: Array, integrators: int, *, smooth: bool = False) -> Continued:
@@ -46,8 +49,7 @@ def continued(plant: FRF, f: Array, integrators: int, *, smooth: bool = False) -
     from scipy.interpolate import CubicSpline
 
     x, ends = np.log(f), np.log(plant.frequency_hz)
-    k = np.clip(np.searchsorted(ends, x, side="right") - 1, 0, ends.size - 2)
-    share = np.clip((ends[k + 1] - x) / (ends[k + 1] - ends[k]), 0.0, 1.0)
+    k, share = between(f, plant.frequency_hz)
     logs = np.log(np.abs(plant.siso)) + 1j * np.unwrap(np.angle(plant.siso))
     slope = np.where(x < ends[0], float(integrators), np.where(x > ends[-1], ABOVE, 0.0))
     edge = np.where(x < ends[0], ends[0], ends[-1])
@@ -55,6 +57,13 @@ def continued(plant: FRF, f: Array, integrators: int, *, smooth: bool = False) -
     inside = CubicSpline(ends, logs)(np.clip(x, ends[0], ends[-1])) if smooth else straight
     turned = 1j * _excess(plant.siso[0], integrators) * np.minimum(np.exp(x - ends[0]) - 1.0, 0.0)
     return Continued(np.asarray(np.exp(inside + slope * (edge - x) + turned)), k, share)
+
+
+def between(f: Array, lines_hz: Array) -> tuple[np.ndarray, Array]:
+    """The line below each frequency (nf,), and its share of ln P there, straight over ln f; at an end that line."""
+    x, ends = np.log(f), np.log(lines_hz)
+    k = np.clip(np.searchsorted(ends, x, side="right") - 1, 0, ends.size - 2)
+    return k, np.asarray(np.clip((ends[k + 1] - x) / (ends[k + 1] - ends[k]), 0.0, 1.0))
 
 
 def _excess(lowest: complex, integrators: int) -> float:

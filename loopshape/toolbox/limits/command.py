@@ -31,8 +31,9 @@ def bound(
 def bound_run(run: Path, controller: Path, require: Path, output: Output) -> list[Bound]:
     """Bound each loop of a requirements file and report."""
     from loopshape.io.requirements import read_requirements
-    from loopshape.io.write.check_files import controller_of, fits_of
+    from loopshape.io.write.check_files import controller_of
     from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.fits import fits_of
     from loopshape.io.write.frfs import read_frfs
     from loopshape.toolbox.limits.bound import bound as bound_loop
 

@@ -34,8 +34,9 @@ def schedule_run(
 ) -> list[Schedule]:
     """Compare each loop of a requirements file that names a structure, draw and report."""
     from loopshape.io.requirements import read_requirements
-    from loopshape.io.write.check_files import controller_of, fits_of
+    from loopshape.io.write.check_files import controller_of
     from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.fits import fits_of
     from loopshape.io.write.frfs import read_frfs
     from loopshape.toolbox.schedules.schedule import schedule as schedule_loop
 

@@ -110,7 +110,7 @@ def _tune_and_check(run: Path, require: Path, output: Output) -> tuple[bool, lis
 
 def _pages(run: Path, recordings: set[str]) -> list[str]:
     """Overview and maps of each loop, and the pages of a few recordings."""
-    from loopshape.io.write.check_files import fits_of
+    from loopshape.io.write.fits import fits_of
     from loopshape.io.write.frfs import read_frfs
     from loopshape.verbs.pictures import draw_frfs
 
