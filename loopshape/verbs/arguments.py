@@ -19,7 +19,11 @@ Plants = FRF | Sequence[FRF] | Diagram
 
 def controller_of(given: Controller | Tuning) -> Controller:
     """The controller, also of a tuning."""
-    return given if isinstance(given, Controller) else given.controller
+    if isinstance(given, Controller):
+        return given
+    from loopshape.design.tune import Tuning
+
+    return given.controller if isinstance(given, Tuning) else given
 
 
 def required_of(
