@@ -27,8 +27,11 @@ class Term(NamedTuple):
 
 
 def invert(M: ComplexArray, f: Array, what: str) -> ComplexArray:
-    """Inverse at each line; refuses one that is singular to rounding, with its frequency."""
-    size = np.linalg.svd(M, compute_uv=False)
+    """Inverse at each line; refuses one that is singular to rounding whatever the units, with its frequency."""
+    even = M
+    for axis in (2, 1, 2, 1):
+        even = even / np.maximum(np.abs(even).max(axis=axis, keepdims=True), 1e-300)
+    size = np.linalg.svd(even, compute_uv=False)
     bad = np.flatnonzero(~(size[:, -1] > 1e-14 * size[:, 0]))
     if bad.size:
         raise WrongUseError(

@@ -53,10 +53,31 @@ def variance_by_coherence(response: ComplexArray, coherence: Array, averages: fl
 
 
 def valid_frequencies(frequency_hz: Array, response: ComplexArray, covariance: ComplexArray) -> np.ndarray:
-    """Mask (nf,) of the valid band, by the largest error beside the largest singular value."""
-    std = np.sqrt(np.maximum(np.real(np.einsum("fii->fi", covariance)), 0.0)).max(axis=1)
-    size = np.maximum(np.linalg.norm(response, 2, axis=(1, 2)), 1e-300)
-    return valid_lines(frequency_hz, std / size, np.ones(std.size, dtype=bool))
+    """Mask (nf,) of the valid band, by the largest error beside the largest singular value, whatever the units."""
+    rows, columns = channel_scales(response)
+    even = rows[:, None] * columns
+    std = np.sqrt(np.maximum(np.real(np.einsum("fii->fi", covariance)), 0.0)) * even.T.ravel()
+    size = np.maximum(np.linalg.norm(response * even, 2, axis=(1, 2)), 1e-300)
+    return valid_lines(frequency_hz, std.max(axis=1) / size, np.ones(size.size, dtype=bool))
+
+
+def channel_scales(response: ComplexArray, rounds: int = 30) -> tuple[Array, Array]:
+    """Factors of outputs (ny,) and inputs (nu,) that bring a response's elements to one size, in the mean of their ln.
+
+    In units of the channels k times smaller they are k times smaller, so the scaled response does not depend on units.
+    Ones for a single channel.
+    """
+    size = np.abs(response)
+    if size.shape[1:] == (1, 1):
+        return np.ones(1), np.ones(1)
+    count = (size > 0.0).sum(axis=0)
+    level = np.log(np.where(size > 0.0, size, 1.0)).sum(axis=0) / np.maximum(count, 1)
+    known = (count > 0).astype(float)
+    rows, columns = np.zeros(level.shape[0]), np.zeros(level.shape[1])
+    for _ in range(rounds):  # least squares, side by side: elements that are 0 tell nothing
+        rows = (known * (level - columns)).sum(axis=1) / np.maximum(known.sum(axis=1), 1.0)
+        columns = (known * (level - rows[:, None])).sum(axis=0) / np.maximum(known.sum(axis=0), 1.0)
+    return np.exp(-rows), np.exp(-columns)
 
 
 def polar(magnitude_db: ArrayLike, phase_deg: ArrayLike) -> ComplexArray:

@@ -64,7 +64,8 @@ def _improved(one: Resonance, f: Array, y: ComplexArray, std: Array) -> Resonanc
     rows = slice(one.first, one.last + 1)
     for _ in range(STEPS):
         A = _columns(one, f[rows]) / std[rows, None]
-        step = np.linalg.lstsq(A, (y[rows] - one.response(f[rows])) / std[rows], rcond=1e-12)[0]
+        size = np.linalg.norm(A, axis=0)  # the pole's column has the unit of P, the others have none
+        step = np.linalg.lstsq(A / size, (y[rows] - one.response(f[rows])) / std[rows], rcond=1e-12)[0] / size
         z = one.pole_hz + complex(np.clip(abs(step[1]), 0.0, 0.5 * abs(one.pole_hz.imag))) * np.sign(step[1])
         one = _moved(one, one.residue + complex(step[0]), complex(z))
     return one
@@ -80,7 +81,8 @@ def _influence(one: Resonance, f: Array, left: ComplexArray, std: Array) -> Comp
     """Rows for residue and pole; what the window leaves over counts as noise where it is more than the lines' own."""
     rows = slice(one.first, one.last + 1)
     A = _columns(one, f[rows]) / std[rows, None]
-    inverse = np.linalg.pinv(A, rcond=1e-12)
+    size = np.linalg.norm(A, axis=0)
+    inverse = np.linalg.pinv(A / size, rcond=1e-12) / size[:, None]
     rest = left[rows] / std[rows]
     rest = rest - A @ (inverse @ rest)
     misfit = float(np.sum(np.abs(rest) ** 2)) / max(rest.size - A.shape[1], 1)

@@ -240,10 +240,10 @@ def _drawn(frf: FRF, variance: Array, seed: int) -> ComplexArray:
 
 
 def _root(covariance: ComplexArray, variance: Array) -> ComplexArray:
-    """A root (nf, m, m) of covariances that have been given other variances (nf, m), their correlations kept."""
+    """The symmetric root (nf, m, m) of covariances that have been given other variances (nf, m), correlations kept."""
     own = np.sqrt(np.maximum(np.real(np.einsum("fii->fi", covariance)), 1e-300))
     values, vectors = np.linalg.eigh(covariance / own[:, :, None] / own[:, None, :])
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    root = (vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]) @ vectors.conj().transpose(0, 2, 1)
     return np.asarray(np.sqrt(variance)[:, :, None] * root)
 
 

@@ -102,10 +102,11 @@ def _block(
     X, R = means[:, :m], means[:, m:]
     inverse = np.full_like(R, np.nan)
     with np.errstate(all="ignore"):
-        if R.shape[1] > 1 and np.median(np.linalg.cond(R[excited])) > 1e3:
+        size = np.maximum(np.linalg.norm(R[excited], axis=2, keepdims=True), 1e-300)  # each instrument in its own unit
+        if R.shape[1] > 1 and (condition := np.median(np.linalg.cond(R[excited] / size))) > 1e3:
             raise BadSignalError(
                 "the instruments of a block's recordings cannot be separated",
-                f"condition {np.median(np.linalg.cond(R[excited])):.2g}",
+                f"condition {condition:.2g}",
                 "excite one loop at a time, or all by orthogonal multisines",
             )
         inverse[excited] = np.linalg.inv(R[excited])

@@ -17,6 +17,7 @@ from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, ComplexArray, deg, rad
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.frf_arrays import channel_scales
 from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.loop import Loop, characteristic_loci, responses, sensitivity
@@ -142,6 +143,8 @@ def followed_matrix(loops: Loop, draws: int | None = None) -> Dense:
     dense = Dense(lines, P, P, np.zeros((1, *P.shape), dtype=complex)) if found is None else found[0]
     dense = replace(dense, deviations=dense.deviations[:draws])
     L = dense.response * responses(loops.controllers, dense.frequency_hz)[:, None, :]
+    even = channel_scales(P)[0]
+    L = L * (even[:, None] / even)  # singular values that do not depend on the outputs' units
     with np.errstate(divide="ignore"):
         room = 1.0 / np.linalg.norm(sensitivity(L), 2, axis=(1, 2))
     moved = np.linalg.norm(np.diff(L, axis=0), 2, axis=(1, 2))

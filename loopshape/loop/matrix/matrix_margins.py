@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.loops.margins import LARGE
 from loopshape.core.units import Array, ComplexArray, db, deg
+from loopshape.data.response.frf_arrays import channel_scales
 from loopshape.data.response.smoothed import Dense
 from loopshape.data.result.margins import Margins
 from loopshape.data.signal.channel import Channel, sum_terms
@@ -21,6 +23,7 @@ from loopshape.loop.matrix.structured import mu_bounds, refined, upper_at
 #: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
 #: search is needed for each (neighbours are smoothed together and say the same)
 NEAR, MOST, MOST_SEARCHED = 0.7, 40, 16
+SAME = 1e-9  #: both bounds of a margin within rounding
 MIXED = "outputs have different units: singular values of S and T would depend on them and are not given"
 
 #: gauges whose peaks over frequency the margins are
@@ -32,6 +35,10 @@ FIELDS = {
     "sensitivity_peak_db": "S",
     "complementary_peak_db": "T",
 }
+
+
+#: plants, controllers, and draws where there are any
+_Seen = tuple[ComplexArray, ComplexArray, Dense | None]
 
 
 class _Peak(NamedTuple):
@@ -72,12 +79,15 @@ def matrix_margins(loops: Loop) -> Margins:
         c = responses(loops.controllers, f)
     mixed = not _one_unit(loops)
     wanted = [g for g in GAUGES if not (mixed and g in "ST")]
-    peaks = {g: _peak(g, P, c) for g in wanted}
+    even = _in_even_units(P, c, scatter)
+    seen = {g: (P, c, scatter) if g in "ST" else even for g in wanted}
+    peaks = {g: _peak(g, *seen[g][:2]) for g in wanted}
     values = {g: peaks[g].value for g in wanted}
     reaches: Mapping[str, tuple[float, float]] = {}
     if scatter is not None:
-        shifts = {g: _shift(g, scatter, c, peaks[g]) for g in wanted}
-        rises = {g: _between_lines(g, f, scatter.reference, c, peaks[g]) for g in wanted}
+        drawn = {g: (own, c) for g, (_, c, own) in seen.items() if own is not None}
+        shifts = {g: _shift(g, own, c, peaks[g]) for g, (own, c) in drawn.items()}
+        rises = {g: _between_lines(g, f, own.reference, c, peaks[g]) for g, (own, c) in drawn.items()}
         values = {g: values[g] - shifts[g][0] for g in wanted}
         reaches = {g: (REACH * shifts[g][1], rises[g] + np.hypot(REACH * shifts[g][1], rises[g])) for g in wanted}
     bounds = {
@@ -92,7 +102,7 @@ def matrix_margins(loops: Loop) -> Margins:
     intervals = {n: _ends(n, values[g], reaches[g]) for n, g in FIELDS.items() if g in reaches}
     a = found["disk_margin"]
     reached = a if "disk_margin" in bounds else min(a * float(np.exp(disk.value - disk.lower)), 2.0)
-    if reached > a > 0.0:  # between what is guaranteed and what is known to be lost nothing is known
+    if reached > (1.0 + SAME) * a > 0.0:  # between what is guaranteed and what is known to be lost nothing is known
         low, high = intervals.get("disk_margin", (a, a))
         intervals["disk_margin"] = low, high * reached / a
     return Margins.of(
@@ -109,6 +119,19 @@ def matrix_margins(loops: Loop) -> Margins:
         unstable_poles=stability.unstable_poles,
         notes=(MIXED,) if mixed else (),
     )
+
+
+def _in_even_units(P: ComplexArray, c: ComplexArray, scatter: Dense | None) -> _Seen:
+    """Plants (nf, n, n), controllers (nf, n) and draws in units in which the plant's elements have about one size.
+
+    Structured singular values stay as they are; the searches for them do not, where 1 m is 1e9 nm.
+    """
+    rows, columns = channel_scales(P)
+    even = rows[:, None] * columns
+    if scatter is not None:
+        moved = {n: getattr(scatter, n) * even for n in ("response", "reference", "deviations")}
+        scatter = replace(scatter, **moved)
+    return P * even, c / (rows * columns), scatter
 
 
 def _of_the_disk(a: float) -> dict[str, float]:
