@@ -89,7 +89,7 @@ def simulate(
     `setpoint` (n,) is in the output's unit, `disturbance` (n,) is added to the plant's input; one of them may be left
     out. `P` is a system of python-control, sampled behind a zero-order hold. What a verdict says holds while the output
     is not limited: `limited_percent` of the answer is how much of the time it is. Raises WrongUseError for lengths that
-    differ, a plant that answers within the sample, and another rate.
+    differ, a plant that answers within the sample, another rate, and a computation delay of parts of a sample.
 
     >>> import control, numpy as np, loopshape as ls
     >>> C = ls.controller(ls.gain(2.0), ls.pi(1.0), rate_hz=100.0)

@@ -54,10 +54,11 @@ typedef struct {{
 }} {name}_state;
 
 {reset}
-/* Takes over at an output without a bump: filters at rest at this error, the integrator at the output. */
+/* Takes over at an output within the limits without a bump: filters at rest at this error, the integrator there. */
 static inline void {name}_start({name}_state *state, {kind} value, {kind} output)
 {{
     int k;
+    output = output > {high} ? {high} : output < {low} ? {low} : output;
     for (k = 0; k < {n}; k++) {{
         const {kind} *c = {name}_coefficients[k];
         {kind} *s = state->s[k];

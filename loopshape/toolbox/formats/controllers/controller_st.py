@@ -94,9 +94,11 @@ def _integrating(law: LimitedLaw) -> range:
 
 def _start(law: LimitedLaw, numbers: list[list[str]]) -> list[str]:
     """Takes over at an output: as `Running.start`."""
-    rows, last = ["fValue := fIn;"], len(numbers)
+    low, high, last = _number(law.limits.low), _number(law.limits.high), len(numbers)
+    rows = ["fGiven := fStart;", f"IF fGiven > {high} THEN fGiven := {high}; END_IF"]
+    rows += [f"IF fGiven < {low} THEN fGiven := {low}; END_IF", "fValue := fIn;"]
     for k, (b0, b1, b2, a1, a2) in enumerate(numbers, start=1):
-        out = "fStart" if k == last else "0.0"
+        out = "fGiven" if k == last else "0.0"
         if k not in _integrating(law):
             out = f"(({b0} + {b1}) + {b2}) / ((1.0 + {a1}) + {a2}) * fValue"
         rows += [
@@ -105,7 +107,7 @@ def _start(law: LimitedLaw, numbers: list[list[str]]) -> list[str]:
             f"s{k}_1 := fNext - {b0} * fValue;",
             "fValue := fNext;",
         ]
-    return [*rows, "fLast := fStart;"]
+    return [*rows, "fLast := fGiven;"]
 
 
 def _limited(law: LimitedLaw, numbers: list[list[str]]) -> list[str]:
@@ -150,4 +152,4 @@ def _section(k: int, b0: str, b1: str, b2: str, a1: str, a2: str) -> list[str]:
 def _number(value: float) -> str:
     """A number that reads back exactly; a negative one in brackets, since the language has no two signs in a row."""
     text = repr(value) if "." in repr(value) else repr(value).replace("e", ".0e")
-    return f"({text})" if value < 0.0 else text
+    return f"({text})" if text.startswith("-") else text

@@ -129,9 +129,11 @@ class Running:
     def start(self, error: float, output: float) -> None:
         """Take over at this output: filters as if this error had always been there, the integrator at the output.
 
-        Without an integrator the next output is what the error makes of it, within the rate.
+        An output beyond the limits counts as their end. Without an integrator the next output is what the error makes
+        of it, within the rate.
         """
         value, first = self.kind(error), len(self.rows) - self.law.integrating
+        output = min(max(self.kind(output), self.low), self.high)
         for k, ((b0, b1, b2, a1, a2), s) in enumerate(zip(self.rows, self.states, strict=True)):
             out = self.kind(output)
             if k < first:
@@ -201,9 +203,14 @@ def simulate(
 ) -> Simulation:
     """A loop at the controller's rate from rest, with a setpoint and what is added to the plant's input (n,) each.
 
-    A plant in continuous time is sampled behind a zero-order hold. Its output must not answer within the sample.
+    A plant in continuous time is sampled behind a zero-order hold. Its output must not answer within the sample. What
+    the controller's computation takes, in whole samples, delays what it gives out.
     """
-    law = Running(limited(controller, limits))
+    law, late = Running(limited(controller, limits)), controller.computation_delay_s * controller.rate_hz
+    if abs(late - round(late)) > 1e-6:
+        raise WrongUseError(
+            "a loop is simulated with whole samples of delay", f"{late:g} samples", "round computation_delay_s"
+        )
     A, B, C = _plant(plant, controller)
     x, n = np.zeros(A.shape[0]), setpoint.size
     output, error, control, cut = np.zeros((4, n))
@@ -211,7 +218,7 @@ def simulate(
         output[k] = C @ x
         error[k] = setpoint[k] - output[k]
         control[k] = law.step(float(error[k]))
-        x = A @ x + B * (control[k] + disturbance[k])
+        x = A @ x + B * ((control[k - round(late)] if k >= round(late) else 0.0) + disturbance[k])
         cut[k] = law.cut
     return Simulation(np.arange(n) / controller.rate_hz, output, error, control, 100.0 * float(cut.mean()))
 

@@ -164,6 +164,54 @@ def test_it_takes_over_without_a_bump():
         np.testing.assert_allclose([law.step(0.0) for _ in range(50)], 0.4, atol=1e-12)
 
 
+@pytest.mark.parametrize("beyond", [-5.0, 5.0])
+def test_it_takes_over_beyond_the_limits_at_their_end(tmp_path, beyond):
+    """The files say that the output stays within its ends; with a rate it came back from 5 over hundreds of samples."""
+    controller, limits = made("x", "pid", "rate", "double")
+    law, given = Running(limited(controller, limits)), inputs(400)
+    law.start(0.25, beyond)
+    expected = [law.step(float(x)) for x in given]
+    assert min(expected) >= -0.5
+    assert max(expected) <= 0.9
+    (path,) = ls.formats.export(controller, tmp_path, "c", limits)
+    text = _MAIN.format(header=path.name, name=identifier("x"), kind="double")
+    (tmp_path / "main.c").write_text(text.replace("(double)0.4", f"(double){beyond}"))
+    subprocess.run([*compiler(), *FLAGS, "main.c", "-o", "main"], cwd=tmp_path, check=True)
+    done = subprocess.run([tmp_path / "main", "start"], input=given.tobytes(), capture_output=True, check=True)
+    np.testing.assert_array_equal(np.frombuffer(done.stdout), expected)
+    (path,) = ls.formats.export(controller, tmp_path, "st", limits)
+    at = {found: 0.0 for found in re.findall(r"(\w+) : LREAL", path.read_text())}
+    at |= {"bReset": True, "bStart": True, "fStart": beyond, "fIn": 0.25}
+    code, answers, again = as_python(path.read_text()), [], Running(limited(controller, limits))
+    again.start(0.25, beyond)
+    for value in (0.25, *given):
+        at["fIn"] = float(value)
+        exec(code, {}, at)
+        at |= {"bReset": False, "bStart": False}
+        answers.append(at["fOut"])
+    np.testing.assert_array_equal(answers, [again.step(float(x)) for x in (0.25, *given)])
+
+
+def test_structured_text_has_no_two_signs_in_a_row(tmp_path):
+    """A section written with a negative denominator has coefficients that are minus zero."""
+    turned = Block("section", {"n0": -1.0, "n1": 0.0, "n2": 0.0, "d0": -1.0, "d1": -0.1, "d2": 0.0})
+    (path,) = ls.formats.export(ls.Controller("x", (turned, PI), RATE_HZ), tmp_path, "st")
+    assert not re.search(r"[-+*] -", path.read_text())
+
+
+def test_a_simulated_loop_has_the_delay_of_its_controller():
+    """A delay of two samples that the verdict counts and the simulation did not; the truth is python-control's loop."""
+    C = ls.controller(ls.gain(3.0), ls.pi(0.2), rate_hz=RATE_HZ, computation_delay_s=2.0 / RATE_HZ)
+    P, r = control.tf([1.0], [0.1, 1.0, 0.0]), np.ones(300)
+    L = control.sample_system(control.ss(P), 1.0 / RATE_HZ, method="zoh") * ls.to_control(C)
+    truth = control.forced_response(control.feedback(L), U=r).outputs
+    wide = ls.formats.OutputLimits(-1e6, 1e6)
+    np.testing.assert_allclose(ls.formats.simulate(P, C, wide, setpoint=r).output, truth, atol=1e-8)
+    odd = ls.controller(ls.gain(1.0), rate_hz=RATE_HZ, computation_delay_s=0.3 / RATE_HZ)
+    with pytest.raises(ls.errors.WrongUseError, match="whole samples of delay"):
+        ls.formats.simulate(P, odd, wide, setpoint=r)
+
+
 def test_anti_windup_lets_a_step_come_back_sooner():
     P, C = (
         control.tf([1.0], [0.5, 1.0, 0.0]),
