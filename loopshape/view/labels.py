@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
@@ -182,7 +183,17 @@ def parameter_text(fit: Fit, p: Estimate) -> str:
     """A parameter with its 95 % interval; a delay that turns no line's phase is none."""
     if p.name == "delay_s" and abs(p.value) * TWO_PI * fit.band_hz[1] < NO_DELAY_RAD:
         return "none"
-    return f"{p.value:.5g} ± {1.96 * p.std:.2g}"
+    return plus_minus(p.value, 1.96 * p.std)
+
+
+def plus_minus(value: float, half_width: float) -> str:
+    """A value and the half width of its interval to the same decimal: two figures of the half width (GUM, 7.2.6)."""
+    if not 0.0 < half_width < math.inf:
+        return f"{value:.5g} ± {half_width:.2g}"
+    power = 0 if 1e-7 <= half_width < 1e6 else math.floor(math.log10(max(abs(value), half_width)))
+    places = max(0, 1 + power - math.floor(math.log10(half_width)))
+    text = f"{value / 10.0**power:.{places}f} ± {half_width / 10.0**power:.{places}f}"
+    return f"({text})e{power:+d}" if power else text
 
 
 def indicator_texts(read: Indicators) -> list[str]:
@@ -215,11 +226,11 @@ def root_cells(frequency: Estimate, damping: Estimate, highest_hz: float) -> lis
     A real root that the lines up to `highest_hz` do not tell from one at infinity has a bound in place of a value.
     """
     if abs(damping.value) < 1.0 - 1e-9:
-        return [*(f"{e.value:.4g} ± {1.96 * e.std:.2g}" for e in (frequency, damping)), None]
+        return [*(plus_minus(e.value, 1.96 * e.std) for e in (frequency, damping)), None]
     side = "" if damping.value > 0.0 else ", right half plane"
     constant = 1.0 / (TWO_PI * frequency.value)
     if frequency.value > FAR * highest_hz:
         return [None, None, f"below {1.0 / (TWO_PI * highest_hz):.2g}, above the measured frequencies{side}"]
     if not 1.96 * frequency.std < frequency.value:
         return [None, None, f"about {constant:.2g}, not known{side}"]
-    return [None, None, f"{constant:.4g} ± {1.96 * constant * frequency.std / frequency.value:.2g}{side}"]
+    return [None, None, plus_minus(constant, 1.96 * constant * frequency.std / frequency.value) + side]

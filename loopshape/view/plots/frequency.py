@@ -18,6 +18,7 @@ from loopshape.view.labels import (
     decibel,
     expression,
     method_in_short,
+    plus_minus,
     point,
     product,
     ratio,
@@ -226,12 +227,10 @@ def _fit_lines(fit: Fit | None) -> tuple[str, ...]:
 
 
 def _estimate(parameter: Estimate) -> str:
-    half_width = parameter.interval[1] - parameter.value
-    digits = max(0, 1 - int(np.floor(np.log10(half_width)))) if np.isfinite(half_width) and half_width > 0.0 else 3
-    value = f"{parameter.value:.{min(digits, 6)}f}"
+    value = plus_minus(parameter.value, parameter.interval[1] - parameter.value)
     name, unit = split_unit(parameter.name)
     unit = unit or ("" if parameter.unit == "1" else superscripts(parameter.unit))
-    return f"{symbol(name)} = {value} ± {half_width:.2g} {unit}".rstrip()
+    return f"{symbol(name)} = {value} {unit}".rstrip()
 
 
 @styled()

@@ -1,6 +1,7 @@
 """What every command shares: --version, --json as a flag; and words that tell a user what a number rests on."""
 
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import loopshape as ls
 from loopshape import __version__
 from loopshape.cli.main import COMMANDS, app
 from loopshape.core.toolboxes import function_at
-from loopshape.view.labels import root_cells
+from loopshape.view.labels import plus_minus, root_cells
 
 pytestmark = pytest.mark.short
 
@@ -112,12 +113,20 @@ def roots(f_hz, std_hz, damping):
 
 
 def test_real_roots_are_time_constants_and_far_ones_bounds():
-    assert roots(2.0, 0.02, 0.5) == ["2 ± 0.039", "0.5 ± 0", None]
-    assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, 1.0) == [None, None, "1 ± 0.02"]
-    assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, -1.0) == [None, None, "1 ± 0.02, right half plane"]
+    assert roots(2.0, 0.02, 0.5) == ["2.000 ± 0.039", "0.5 ± 0", None]
+    assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, 1.0) == [None, None, "1.000 ± 0.020"]
+    assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, -1.0) == [None, None, "1.000 ± 0.020, right half plane"]
     far = roots(2.3e5, 8.7e14, -1.0)[2]
     assert far == "below 0.004, above the measured frequencies, right half plane"
     assert roots(20.0, 30.0, 1.0)[2] == "about 0.008, not known"
+
+
+def test_value_and_half_width_end_at_the_same_decimal():
+    assert plus_minus(2253.41, 20.04) == "2253 ± 20"
+    assert plus_minus(0.000118663, 1.32e-5) == "0.000119 ± 0.000013"
+    assert plus_minus(4.9469, 0.0319) == "4.947 ± 0.032"
+    assert plus_minus(-3.21e-15, 2.2e-16) == "(-3.21 ± 0.22)e-15"
+    assert plus_minus(3.0, math.inf) == "3 ± inf"
 
 
 def test_a_first_order_fit_prints_its_time_constant_and_no_delay(folder):

@@ -63,14 +63,16 @@ def report(found: Sequence[Tones], output: Output) -> None:
 
 def _row(x: Tones, tone: Tone) -> list[Any]:
     return [
-        x.recording, x.channel, _with(tone.frequency_hz, tone.frequency_interval_hz, 7),
+        x.recording, x.channel, _with(tone.frequency_hz, tone.frequency_interval_hz),
         _with(tone.amplitude, tone.amplitude_interval) + f" {x.unit}", _with(tone.growth_db, tone.growth_interval_db),
         tone.growth.value, tone.from_s, tone.to_s, f"{tone.chance:.1g}",
     ]  # fmt: skip
 
 
-def _with(value: float, interval: tuple[float, float], figures: int = 4) -> str:
-    return f"{value:.{figures}g} ± {0.5 * (interval[1] - interval[0]):.2g}"
+def _with(value: float, interval: tuple[float, float]) -> str:
+    from loopshape.view.labels import plus_minus
+
+    return plus_minus(value, 0.5 * (interval[1] - interval[0]))
 
 
 def draw(folder: Path, run: Run, found: Sequence[Tones]) -> list[str]:
