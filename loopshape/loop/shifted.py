@@ -19,7 +19,7 @@ from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import interpolated
 from loopshape.loop.margin.margins import Reader
-from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, low_models
+from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, low_models, poles_at_0
 from loopshape.loop.stability.stability import count_unstable, swing_near
 
 #: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
@@ -163,7 +163,7 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
         f, P, draws = dense.frequency_hz, dense.response, dense.deviations[:DRAWN]
         std = np.interp(f, loop.frequency_hz, std)
     for model in low_models(loop)[:1] if abs(loop.L[0]) < 1.0 and in_sight(loop) else ():
-        below = float(f[0]) * BELOW_RATIOS[1:]
+        below = float(f[0]) * BELOW_RATIOS[poles_at_0(loop) > 0 :]  # down to 0 Hz where L is finite there
         ahead = model.response(below)
         std = np.concatenate([std[0] * np.abs(ahead / P[0]), std])
         draws = None if draws is None else np.concatenate([ahead / P[0] * draws[:, :1], draws], axis=1)

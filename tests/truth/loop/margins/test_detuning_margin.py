@@ -218,3 +218,22 @@ def test_the_motor_bench_rests_on_its_resonance(bench):
     assert lost.block_kind == "notch"
     strict = check([frf], controller, replace(asked, detuning_percent=3.0), [model])
     assert [line.quantity for line in strict.lines if line.outcome == "failed"] == ["detuning_percent"]
+
+
+@pytest.mark.parametrize("gain", [0.5, 0.9])
+@pytest.mark.parametrize("relative", [0.0, 0.02])
+def test_a_loop_below_1_down_to_0_hz_loses_nothing(gain, relative):
+    """No crossover, L finite at 0 Hz: at any stretch |S| peaks as it does now, by the transfer function."""
+    f_hz, rate_hz = np.geomspace(0.2, 400.0, 300), 1000.0
+    dense = np.concatenate([[0.0], np.geomspace(1e-3, 499.0, 4000)])
+    shifts = 0.01 * np.arange(-20.0, 21.0)
+    true_db = [20.0 * np.log10(np.max(1.0 / np.abs(1.0 + gain / (1.0 + 1j * dense / (8.0 + 8.0 * s)) ** 2))) for s in shifts]
+    assert max(true_db) < 5.0
+    P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 8.0) ** 2, relative_std=relative, rate_hz=rate_hz)
+    C = ls.controller(ls.gain(gain), rate_hz=rate_hz)
+    asked = ls.Requirements(sensitivity_peak_db=6, unstable_poles=0, integrators=0)
+    assert not any("off" in line for line in ls.check(P, C, asked).warnings)
+    verdict = ls.check(P, C, replace(asked, detuning_percent=2.0))
+    (found,) = (m.detuning for m in verdict.margins.values())
+    assert verdict.outcome == ls.Outcome.PASSED
+    assert found.up.beyond and found.down.beyond

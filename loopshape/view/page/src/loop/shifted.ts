@@ -224,8 +224,9 @@ type Known = Pick<Lines, "f" | "P" | "std" | "draws">;
 function withExtrapolated(loop: Loop, own: Known): Known {
   const [model] = loop.point.extrapolated;
   if (!model || Math.hypot(loop.L.re[0], loop.L.im[0]) >= 1 || !inSight(loop)) return own;
-  const ahead = { re: model.P.re.subarray(1), im: model.P.im.subarray(1) };
-  const below_f = Float64Array.from(loop.plant.source.constants.below_ratios.slice(1), (share) => loop.f[0] * share);
+  const skipped = loop.integrators > 0 ? 1 : 0;
+  const ahead = { re: model.P.re.subarray(skipped), im: model.P.im.subarray(skipped) };
+  const below_f = Float64Array.from(loop.plant.source.constants.below_ratios.slice(skipped), (share) => loop.f[0] * share);
   const extrapolated = below_f.length;
   const n = own.f.length;
   const { count } = own.draws;
