@@ -246,10 +246,14 @@ def _pass(whose: str, given: Mapping[str, Any], hints: Mapping[str, Any], signat
                 f"{received(wrong)} and {received(given[swapped[0]])}", f"call {whose}({order})",
             )  # fmt: skip
         way_out = f"call {whose}({order})" if any(not fits(given[one], hints[one]) for one in others) else ""
-        raise WrongUseError(f"{name} of {whose} must be {described(hint)}", received(wrong), way_out or _cure(wrong))
+        raise WrongUseError(
+            f"{name} of {whose} must be {described(hint)}", received(wrong), way_out or _cure(wrong, hint)
+        )
 
 
-def _cure(value: Any) -> str:
+def _cure(value: Any, hint: Any) -> str:
     if hasattr(value, "frequency_response") or (hasattr(value, "frdata") and hasattr(value, "omega")):
+        if "Controller" in described(hint):
+            return "make a controller of it: ls.controller(*ls.fixed(system, rate_hz=rate_hz), rate_hz=rate_hz)"
         return "make an FRF of a python-control system: ls.FRF.from_control(system, frequency_hz)"
     return ""

@@ -31,6 +31,8 @@ from loopshape.loop.stability.stability import unstable_count
 DRAWN = 50
 #: lines above the band used are known where their relative deviation is below the first, noise alone above the second
 KNOWN_BEYOND, NOISE_ALONE = 0.3, 1.0
+#: why a fit is not used, most often
+MORE_THAN_NOISE = "leaves more than noise"
 
 
 def loops_of(
@@ -53,6 +55,7 @@ def loops_of(
         what = "input_output_disk_margin is what several loops keep together"
         raise WrongUseError(what, f"loop {requirements.loop!r}", "ask for its disk_margin")
     found, notes = [], []
+    unused: dict[str, list[Fit]] = {}
     for measured in frfs:
         controller = scheduled if isinstance(scheduled, Controller) else scheduled.at(measured.operating_point)
         band = requirements.band_hz
@@ -69,17 +72,26 @@ def loops_of(
             raise WrongUseError(
                 f"the FRF {frf.recording} contains the hold already", "added_hold = true", "leave that key out"
             )
-        fit, unused = _fit_of(fits, frf, measured, requirements)
+        fit, why = _fit_of(fits, frf, measured, requirements)
+        if fit is not None and why:
+            unused.setdefault(why, []).append(fit)
+            fit = None
         beyond, model = beyond_lines(frf, lines), None if fit is None else fit.model
         plant, scatter = smoothed(frf, band)
         integrators, unstable, note = _open_loop_poles(plant, requirements, fit, beyond, lines, scatter)
         found.append(Loop(plant, controller, integrators, unstable, model, beyond, lines, scatter))
-        notes += [
-            text
-            for text in (left_out, fewer, unused, note if counted else "", _narrowed(frf, lines, controller))
-            if text
-        ]
-    return found, tuple(dict.fromkeys(notes))
+        words = (left_out, fewer, note if counted else "", _narrowed(frf, lines, controller))
+        notes += [text for text in words if text]
+    return found, tuple(dict.fromkeys([*(_unused(why, those) for why, those in unused.items()), *notes]))
+
+
+def _unused(why: str, fits: Sequence[Fit]) -> str:
+    """Why fits of some recordings are not used, in one sentence however many they are."""
+    misfits = dict.fromkeys(f"{pick(fit.misfit_db for fit in fits):.2g}" for pick in (min, max))
+    why += f" (misfit {' to '.join(misfits)} dB)" if why == MORE_THAN_NOISE else ""
+    if len(fits) == 1:
+        return f"the fit of {fits[0].recording} is not used: it {why}"
+    return f"the fits of {len(fits)} recordings, {fits[0].recording} to {fits[-1].recording}, are not used: each {why}"
 
 
 def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str]:
@@ -143,7 +155,7 @@ def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
 
 
 def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirements) -> tuple[Fit | None, str]:
-    """The fit that may speak for the plant below the measured band, and a note where there is one that may not.
+    """The fit of the plant below the measured band, and why it may not speak for it: "" where it may.
 
     It was made for this FRF, ended well, leaves nothing but noise, contradicts no declaration, and its covariance tells
     the plant below the lowest line down to a thousandth of it.
@@ -156,18 +168,18 @@ def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirem
     integrators = ("integrators", requirements.integrators, fit.model.integrators())
     against = next((x for x in (poles, integrators) if x[1] is not None and x[1] != x[2]), None)
     if fit.frf_digest not in ("", measured.digest):
-        why = "it was made for another FRF"
+        why = "was made for another FRF"
     elif fit.outcome is Convergence.NOT_CONVERGED:
-        why = "it did not converge"
+        why = "did not converge"
     elif not fit.sufficient:
-        why = f"it leaves more than noise (misfit {fit.misfit_db:.2g} dB)"
+        why = MORE_THAN_NOISE
     elif against is not None:
-        why = f"it has {against[2]} {against[0]}, and {against[1]} are declared"
+        why = f"has {against[2]} {against[0]}, and {against[1]} are declared"
     elif _spread_below(fit, float(frf.frequency_hz[0])) > KNOWN_BEYOND:
-        why = "its parameters are not known well enough to tell the plant below the lowest frequency"
+        why = "is not known well enough to tell the plant below the lowest frequency"
     else:
-        return fit, ""
-    return None, f"the fit of {frf.recording} is not used: {why}"
+        why = ""
+    return fit, why
 
 
 def _spread_below(fit: Fit, first_hz: float) -> float:

@@ -367,8 +367,9 @@ class BlockTemplate:
         given = {k: v for k, v in table.items() if k not in ("kind", "order")}
         if set(given) != set(names):
             raise WrongUseError(
-                f"{an(kind)} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none"
-            )
+                f"{an(kind)} block has the parameters {', '.join(names)}", ", ".join(sorted(given)) or "none",
+                f"give each: {names[0]} = 1.0 fixes it, {{ min, max }} bounds it, {{}} leaves the bounds to the plant",
+            )  # fmt: skip
         tie = {k: v for k, v in given.items() if isinstance(v, str)}
         for name, target in tie.items():
             if target not in names or target == name or target in tie:

@@ -196,7 +196,7 @@ def detuning_warnings(found: Mapping[str, Margins], controller: Controller) -> t
     if not lost:
         return ()
     worst = min(lost, key=lambda name: found[name].detuning_percent)
-    others = f", and at {len(lost) - 1} other operating points" if len(lost) > 1 else ""
+    others = f", and at {len(lost) - 1} more" if len(lost) > 1 else ""
     return (f"{lost_text(lost[worst], controller)}, in {worst}{others}: require detuning_percent, and tune for it",)
 
 
@@ -248,8 +248,8 @@ def order_text(order: Order, run: str = "RUN") -> str:
     """What would settle an undecided operating point, on one row."""
     if order.command is not None:
         return f"to settle it: {order.command_for(run)}"
-    word = "what the requirements declare" if order.by == "declaration" else "no measurement of the plant"
-    return f"to settle it in {order.recording}: {word}"
+    word = "declare it in the requirements" if order.by == "declaration" else "no measurement of the plant"
+    return f"to settle it{f' in {order.recording}' if order.recording else ''}: {word}"
 
 
 def folded(line: str) -> str:

@@ -101,9 +101,9 @@ def has_run(folder: Path) -> bool:
 def read_run_words(folder: Path) -> ConfigTable:
     """The words of `run.toml`; refuses a folder that holds none of this format."""
     with reading(folder, "a run's folder"):
-        is_folder = folder.is_dir()
+        is_folder, what = folder.is_dir(), "is a file" if folder.exists() else "does not exist"
     if not is_folder:
-        raise UnreadableInputError("a run is a folder", f"{folder}, which is none", "name the folder with run.toml")
+        raise UnreadableInputError("a run is a folder", f"{folder}, which {what}", "name the folder with run.toml")
     path = folder / RUN_TOML
     hold, last = hold_of(folder), _WRITTEN.get(path)
     if hold is not None and last is not None and last[0] is hold:

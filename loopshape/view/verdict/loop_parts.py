@@ -239,7 +239,9 @@ def limit_entries(required: Requirements | None, verdict: Verdict | None) -> lis
     if required is not None and any(required.masks_on(name) for name in "LST"):
         entries.append(("masks", {"color": LIMIT, "linewidth": 1.1}))
     if verdict is not None and len(verdict.margins) > 1:
-        entries.append(("bandwidths found", {"color": QUIET, "alpha": 0.3, "linewidth": 6.0, "solid_capstyle": "butt"}))
+        entries.append(
+            ("range of bandwidths", {"color": QUIET, "alpha": 0.3, "linewidth": 6.0, "solid_capstyle": "butt"})
+        )
     return entries
 
 

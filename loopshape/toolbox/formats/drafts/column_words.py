@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from enum import StrEnum
 
 from loopshape.core.units import UNITS
@@ -197,9 +198,14 @@ def _goes_on(word: str, known: str) -> bool:
     return len(known) >= _WHOLE_STEM or rest in _INFLECTED or any(rest in weights for weights in _WEIGHTS.values())
 
 
+#: letters that ASCII writes with two
+_WRITTEN = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "æ": "ae"})
+
+
 def column_name(name: str, suffix: str, taken: set[str]) -> str:
     """A stored column's name: letters, figures and underscores, its unit at the end, and no other column's."""
-    plain = re.sub(r"[^A-Za-z0-9]+", "_", split_unit(name)[0]).strip("_").lower() or "column"
+    plain = unicodedata.normalize("NFKD", split_unit(name)[0].lower().translate(_WRITTEN))
+    plain = re.sub(r"[^a-z0-9]+", "_", re.sub("[\u0300-\u036f]", "", plain)).strip("_") or "column"
     plain = f"c_{plain}" if plain[0].isdigit() else plain
     made, k = f"{plain}_{suffix}", 2
     while made in taken or made == "t_s":

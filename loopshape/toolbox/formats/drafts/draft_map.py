@@ -200,7 +200,9 @@ def write_draft(path: Path, draft: Draft, file: Path) -> None:
     """Write a draft's map, its guesses one a line; refuses to write over a file that is there."""
     if path.exists():
         raise WrongUseError(
-            f"{path} is there already", "a draft is not written over a map", "give another name (--draft FILE)"
+            "a draft is not written over a map",
+            f"{path}, which is there already",
+            f"import with it (--map {path} --out RUN), remove it, or give the draft another name (--draft FILE)",
         )
     head = f"# Draft of a map of {file.name}: read it against [draft], correct it, then delete [draft].\n"
     body = toml_text({key: value for key, value in draft.table.items() if key != "draft"})

@@ -389,7 +389,7 @@ def _injection(seen: _Seen, roles: Roles, source: str) -> None:
     roles.recording |= {"injection": "controller_input" if at_controller else "plant_input", "closed_loop": True}
     if np.isnan(size) and (at_controller or rows_of_a_period(seen.column(source))[0]):
         roles.open.append(
-            f"where {source!r} enters is not told: nothing is new in it or in {control!r}. Write injection"
+            f"where {source!r} enters is not known: nothing is new in it or in {control!r}. Write injection"
             " (controller_input, plant_input, or reference where the control was logged behind the sum)."
         )
         return
@@ -400,12 +400,12 @@ def _injection(seen: _Seen, roles: Roles, source: str) -> None:
     share = "nothing" if through else f"{100.0 * beside:.1f} %"
     roles.guesses.append(
         f"{source!r} enters at {roles.recording['injection']}: {control!r} {follows} in the same row"
-        f" ({_alike(seen, source, control)}), and beside {control!r} it tells {share} of what is new in {output!r}."
+        f" ({_alike(seen, source, control)}), and beside {control!r} it explains {share} of what is new in {output!r}."
     )
     if through != at_controller or (not through and beside < _SMALL):
         roles.open.append(
-            f"where {source!r} enters is not told: {control!r} {follows} in the same row, and beside {control!r} it"
-            f" tells {share} of what is new in {output!r}: write injection (controller_input, plant_input, or reference"
+            f"where {source!r} enters is not known: {control!r} {follows} in the same row, and beside {control!r} it"
+            f" explains {share} of what is new in {output!r}: write injection (controller_input, plant_input, or reference"
             " where the control was logged behind the sum)."
         )
 

@@ -86,7 +86,8 @@ def _places(path: Path, layout: TextLayout) -> dict[str, tuple[int, str]]:
             }
     raise UnreadableInputError(
         f"{path.name} is no table of an FRF", short(", ".join(layout.names)) or "no header",
-        "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag",
+        "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag; a recording in time"
+        " is read by ls.formats.read_table(file, map) or loopshape import",
     )  # fmt: skip
 
 

@@ -162,7 +162,7 @@ def _draft(words: ConfigTable, accepted: bool) -> tuple[str, ...]:
     draft.only("file", "sha256", "guesses", "open")
     if questions := draft.list_of_texts("open"):
         raise WrongUseError(
-            f"{words.where} is a draft that leaves questions open", " ".join(questions),
+            f"{words.where} is a draft that leaves questions open", " ".join(questions).rstrip("."),
             "answer them in the map and delete its table [draft]",
         )  # fmt: skip
     guesses = draft.list_of_texts("guesses")

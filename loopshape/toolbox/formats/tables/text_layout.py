@@ -264,5 +264,5 @@ def _sentences(rows: _Rows, shape: CsvShape, named: int | None, units_at: int | 
     if units_at is not None:
         notes.append(f"line {units_at + 1} is a row of units.")
     if encoding != "utf-8-sig":
-        notes.append(f"encoding {encoding}: the text is no UTF-8.")
+        notes.append(f"encoding {encoding}: the text is not UTF-8.")
     return notes

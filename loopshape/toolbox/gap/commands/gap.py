@@ -168,7 +168,7 @@ def _headline(found: GapReport, output: Output) -> None:
         output.paragraph(f"not told apart by these recordings: {', '.join((found.verdict, *found.twins))}")
     agree, count = found.agreeing
     if found.verdict != "none" and count:
-        output.paragraph(f"left out of the fit, {agree} of {count} recordings or pieces are told best by it")
+        output.paragraph(f"left out of the fit, {agree} of {count} recordings or pieces are predicted best with it")
     if found.budget:
         steps = [x for k, x in enumerate(found.budget) if not k or x.effects != found.budget[k - 1].effects]
         known = [_floor_words(floor) for floor in found.floors if floor.source in _SOURCES]
@@ -179,7 +179,7 @@ def _headline(found: GapReport, output: Output) -> None:
             output.paragraph(f"floor: {'; '.join(known)}")
     place, (low, high) = found.where, found.where.band_hz
     if place.block != "none":
-        output.paragraph(f"where: {place.block}, seen most in {place.channel} from {low:.3g} to {high:.3g} Hz")
+        output.paragraph(f"where: {place.block}, most visible in {place.channel} from {low:.3g} to {high:.3g} Hz")
     if found.windows_s:
         tried = ", ".join(f"{w:g}" for w in found.windows_s)
         output.paragraph(f"windows: {found.window_s:g} s, where a force or signal explains most (tried: {tried} s)")

@@ -117,4 +117,4 @@ def _signs(where: Where) -> str:
     points = [point(dict(sorted(p.items(), reverse=True))) for p in where.operating_points]
     more = f" and {len(points) - _MOST_POINTS} more" if len(points) > _MOST_POINTS else ""
     at = "; ".join(p for p in points[:_MOST_POINTS] if p) + more
-    return f"plainest in {symbol(where.channel)}, {low:.2g} to {high:.2g} Hz" + (f", at {at}" if at else "")
+    return f"most visible in {symbol(where.channel)}, {low:.2g} to {high:.2g} Hz" + (f", at {at}" if at else "")

@@ -53,7 +53,7 @@ def test_a_draft_finds_rate_layout_units_parts_and_injection(tmp_path):
     draft, run = accepted(file, tmp_path)
     (loop,), (recording,) = run.loops, run.recordings
     assert run.rate_hz == RATE
-    assert (loop.injected, loop.control, loop.output) == ("anregung_m", "stellgr_e_v", "istwert_m")
+    assert (loop.injected, loop.control, loop.output) == ("anregung_m", "stellgroesse_v", "istwert_m")
     assert (recording.info.injection, recording.info.closed_loop) == ("controller_input", True)
     np.testing.assert_allclose(recording.column("istwert_m"), 1e-3 * y, atol=1e-9)
     assert all(sentence.endswith(".") for sentence in draft.guesses)
@@ -91,7 +91,9 @@ def test_a_draft_is_taken_on_demand_alone_and_the_run_says_so(tmp_path):
     run = import_file(file, tmp_path / "m.toml", accept_draft=True)
     (told,) = [note for note in run.extra["notes"] if "draft map that was not confirmed" in note]
     assert told.split("confirmed: ")[1] == " ".join(draft.guesses)
-    with pytest.raises(ls.errors.WrongUseError, match="is there already"):
+    with pytest.raises(
+        ls.errors.WrongUseError, match=r"is there already; import with it \(--map .*m\.toml --out RUN\)"
+    ):
         write_draft(tmp_path / "m.toml", draft, file)
 
 
@@ -102,7 +104,7 @@ def test_what_is_open_cannot_be_accepted(tmp_path):
     assert len(draft.open) == 1
     assert "rate_hz" in draft.open[0]
     write_draft(tmp_path / "m.toml", draft, file)
-    with pytest.raises(ls.errors.WrongUseError, match=r"questions open.*write rate_hz"):
+    with pytest.raises(ls.errors.WrongUseError, match=r"questions open.*write rate_hz; answer"):
         import_file(file, tmp_path / "m.toml", accept_draft=True)
     assert draft_map(file, RATE).open == ()
 

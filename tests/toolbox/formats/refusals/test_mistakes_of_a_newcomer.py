@@ -185,6 +185,13 @@ IN_PYTHON = {
     "check with its arguments swapped": (lambda: ls.check(C, P), "the wrong way round", "ls.check(P, C, R)"),
     "check with all of them moved": (lambda: ls.check(ls.Requirements(), P, C), "ls.check(P, C, R)"),
     "a model for a plant": (lambda: ls.check(TF, C), "P of ls.check", "ls.FRF.from_control(system, frequency_hz)"),
+    "a transfer function for a controller": (lambda: ls.check(P, TF), "C of ls.check", "ls.controller(*ls.fixed(system"),
+    "poles that nothing declares": (
+        lambda: ls.tune(P, ls.Requirements(sensitivity_peak_db=6.0, integrators=0), [ls.gain()]),
+        "at frf 1; declare unstable_poles",
+    ),
+    "no structure": (lambda: ls.tune(P, ls.Requirements(sensitivity_peak_db=6.0)), "ls.tune(P, R, [ls.gain(), ...])"),
+    "a run that is not there": (lambda: ls.read("nowhere"), "nowhere, which does not exist", "run.toml"),
 }  # fmt: skip
 
 
@@ -211,6 +218,12 @@ OF_FILES = {
     "the requirements of another loop": (REQUIRED.replace('"axis"', '"position"'), "'position'", "axis"),
     "a key misspelled": (REQUIRED.replace("phase_margin_deg", "phase_margin"), "phase_margin", "phase_margin_deg"),
     "a decimal comma": (REQUIRED.replace("45.0", "45,0"), "45,0", "decimal point"),
+    "a block without its parameters": (
+        REQUIRED + 'structure = [{ kind = "gain" }]',
+        "received none",
+        "gain = 1.0",
+        "{}",
+    ),
 }
 
 

@@ -227,7 +227,9 @@ def test_a_loop_below_1_down_to_0_hz_loses_nothing(gain, relative):
     f_hz, rate_hz = np.geomspace(0.2, 400.0, 300), 1000.0
     dense = np.concatenate([[0.0], np.geomspace(1e-3, 499.0, 4000)])
     shifts = 0.01 * np.arange(-20.0, 21.0)
-    true_db = [20.0 * np.log10(np.max(1.0 / np.abs(1.0 + gain / (1.0 + 1j * dense / (8.0 + 8.0 * s)) ** 2))) for s in shifts]
+    true_db = [
+        20.0 * np.log10(np.max(1.0 / np.abs(1.0 + gain / (1.0 + 1j * dense / (8.0 + 8.0 * s)) ** 2))) for s in shifts
+    ]
     assert max(true_db) < 5.0
     P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 8.0) ** 2, relative_std=relative, rate_hz=rate_hz)
     C = ls.controller(ls.gain(gain), rate_hz=rate_hz)
