@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import json
+import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -95,17 +96,30 @@ class Output:
 
     @contextmanager
     def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:
-        """A bar on standard error; call what it gives with a word after each step."""
+        """A bar on standard error, of one step the time gone by; call what it gives with a word after each step."""
         if self.as_json or self.quiet or not sys.stderr.isatty():
             yield lambda word: None
             return
+        from rich import progress
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        steps = (progress.BarColumn(), progress.MofNCompleteColumn(), progress.TimeRemainingColumn())
+        columns = steps if total > 1 else (progress.TimeElapsedColumn(),)
+        words, kernels = progress.TextColumn("{task.description}"), logging.getLogger("loopshape.kernels")
+        console = Console(stderr=True)
+        with progress.Progress(progress.SpinnerColumn("line"), words, *columns, console=console, transient=True) as bar:
             task = bar.add_task(label, total=total)
-            yield lambda word: bar.update(task, advance=1, description=safe(f"{label}: {word}"))
+
+            def compiling(record: logging.LogRecord) -> bool:
+                bar.update(task, description=f"{label} (compiling, on first use only)")
+                return False
+
+            kernels.setLevel(logging.INFO)
+            kernels.addFilter(compiling)
+            try:
+                yield lambda word: bar.update(task, advance=1, description=safe(f"{label}: {word}"))
+            finally:
+                kernels.removeFilter(compiling)
 
 
 def safe(words: str) -> str:

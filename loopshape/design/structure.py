@@ -36,7 +36,7 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, disturbed: bool
         raise WrongUseError(
             f"the requirements of loop {requirements.loop!r} name no structure to tune",
             "",
-            "add structure = [ { kind = ..., ... } ] with min and max for what may move; in Python: ls.tune(P, R, [ls.gain(), ...])",
+            "add structure = [ { kind = ..., ... } ] with bounds; in Python call ls.tune(P, R, [ls.gain(), ...])",
         )
     asked = [name for name in requirements.limited() if LIMIT_OF[name].disturbed]
     if asked and not disturbed:
@@ -60,7 +60,8 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, disturbed: bool
         )
     if not variables_of(requirements):
         raise WrongUseError(f"the structure of loop {requirements.loop!r} has nothing free to tune")
-    unknown = [loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops) if loop.integrators is None]
+    named = [(loop.plant.recording or f"frf {k + 1}", loop) for k, loop in enumerate(loops)]
+    unknown = [name for name, loop in named if loop.integrators is None]
     if unknown:
         raise WrongUseError(
             f"the number of integrators of the plant in loop {requirements.loop!r} is not known",
@@ -73,7 +74,7 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, disturbed: bool
             "integrators below 0, and a pole at s = 0 in the structure",
             "leave it out: the controller's output would drift without bound, and no margin shows it",
         )
-    unknown = [loop.plant.recording or f"frf {k + 1}" for k, loop in enumerate(loops) if loop.unstable_poles is None]
+    unknown = [name for name, loop in named if loop.unstable_poles is None]
     if unknown:
         raise WrongUseError(
             f"the number of unstable poles of the plant in loop {requirements.loop!r} is not known",
@@ -82,11 +83,7 @@ def refuse(loops: Sequence[Loop], requirements: Requirements, *, disturbed: bool
             " fit a model that leaves nothing but noise",
         )
     below = requirements.objective.disturbance_below_hz
-    blind = [
-        loop.plant.recording or f"frf {k + 1}"
-        for k, loop in enumerate(loops)
-        if below is not None and loop.frequency_hz[0] > below
-    ]
+    blind = [name for name, loop in named if below is not None and loop.frequency_hz[0] > below]
     if blind:
         raise WrongUseError(
             f"the objective of loop {requirements.loop!r} needs frequencies below {below:g} Hz",

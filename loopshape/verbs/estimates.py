@@ -77,7 +77,7 @@ def estimate(
             warnings.append(f"no matrix of the plant: {error}")
     if not frfs and not matrices and (alone if matrix is False else recordings):
         raise BadSignalError("no recording of the run gives an FRF", "; ".join(warnings), "excite less, or elsewhere")
-    looked = [*_distortion(whole, alone), *_of_toolboxes(whole, recordings, frfs)]
+    looked = [*_distortion(whole, alone), *_of_toolboxes(whole, recordings, frfs, watch)]
     warnings += [one.sentence for one in looked if one.warning]
     if alone_here:
         watch.warn(warnings)
@@ -150,10 +150,11 @@ def _distortion(run: Run, recordings: Sequence[Recording]) -> Iterable[Remark]:
             yield Remark("distortion", f"{recording.info.name}: {it.verdict}")
 
 
-def _of_toolboxes(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]) -> Iterable[Remark]:
+def _of_toolboxes(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF], watch: Watch) -> Iterable[Remark]:
     for kind, place in found().all("looks").items():
         try:
-            yield from function_at(place)(run, recordings, frfs)
+            with watch.progress(f"look for {kind}", 1):
+                yield from function_at(place)(run, recordings, frfs)
         except LoopshapeError:
             raise
         except Exception as error:  # whatever a stranger's look does: the estimate does not hang on it

@@ -123,7 +123,7 @@ def tune(
     initial = _to_start(start, [one.loop for one in requirements])
     if not matrix:
         tunings = []
-        for tuning in _alone(run, requirements, initial, diagram, disturbance, grow=grow, **search):
+        for tuning in _alone(run, requirements, initial, diagram, disturbance, watch, grow=grow, **search):
             tunings.append(tuning)
             each(tuning)
         return TunedRun(tuple(tunings), _missed(tunings), chosen)
@@ -144,7 +144,7 @@ def tune(
 
 def _alone(
     run: Path, requirements: Sequence[Requirements], initial: Mapping[str, Controller], diagram: Path | None,
-    disturbance: Path | None, **search: Any,
+    disturbance: Path | None, watch: Watch | None, **search: Any,
 ) -> Iterator[Tuning]:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
     frfs, fits = read_frfs(run), fits_of(run)
@@ -157,7 +157,9 @@ def _alone(
         mine = [one for one in frfs if one.loop == required.loop]
         known = chain.point_disturbances(disturbance, required.loop) or None
         start = initial.get(required.loop)
-        yield chain.tune(mine, required, fits=fits, start=start, disturbance=known, **search)
+        with (watch or Unwatched()).progress(f"tune {required.loop}", 1):
+            tuned = chain.tune(mine, required, fits=fits, start=start, disturbance=known, **search)
+        yield tuned
 
 
 def _to_start(file: Path | None, loops: list[str]) -> dict[str, Controller]:

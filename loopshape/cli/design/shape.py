@@ -39,13 +39,11 @@ def shape(
     One HTML file that works offline: drag blocks, type numbers, see every operating point. It gives controller.toml
     back, which check signs.
     """
-    from loopshape.verbs.shaping import matrix_run, shape_run, write_page
+    output, path = Output(as_json, quiet), out or run / "shape.html"
+    with output.progress("shape", 1):
+        from loopshape.verbs.shaping import matrix_run, shape_run, write_page
 
-    output, path, several = Output(as_json, quiet), out or run / "shape.html", None
-    if matrix:
-        several, loops = matrix_run(run, require, controller)
-    else:
-        loops = shape_run(run, require, controller)
+        several, loops = matrix_run(run, require, controller) if matrix else (None, shape_run(run, require, controller))
     if serve:
         _serve(loops, run.resolve().name, save or run / "controller.toml", several)
         return

@@ -82,10 +82,11 @@ def check_run(
     **options: Any,
 ) -> tuple[bool, list[str]]:
     """Check each loop of a requirements file, draw and report; gives whether all is well and the figures' paths."""
-    from loopshape.verbs import runs
-    from loopshape.verbs.pictures import draw_checks, figures_of
+    with output.progress("check", 1):
+        from loopshape.verbs import runs
+        from loopshape.verbs.pictures import draw_checks, figures_of
 
-    found = runs.check(run, controller, require, **options)
+        found = runs.check(run, controller, require, **options)
     runs.write_reports(found, options.get("reports") or runs.Reports())
     verdicts = found.checks.verdicts
     if found.required:
@@ -93,7 +94,8 @@ def check_run(
     else:
         output.say("no requirement given; reported without verdict\n")
         report_margins(verdicts, output, details=details)
-    drawn = draw_checks(figures_of(run), found.checks) if figures else []
+    with output.progress("draw", 1):
+        drawn = draw_checks(figures_of(run), found.checks) if figures else []
     _say_figures(drawn, output, details)
     words = {"passed": found.passed, "outcome": found.outcome}
     loops = verdicts if found.required else [v.to_dict() | words for v in verdicts]

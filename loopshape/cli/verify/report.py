@@ -28,11 +28,12 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Write a run's report as one HTML file. It opens offline; exit code 0 whatever the verdict."""
-    from loopshape.verbs.files import write_report
-    from loopshape.view.html.words import WORDS
-
     output, path = Output(as_json, quiet), out or run / "report.html"
-    made, size = write_report(path, run, (controller, require, diagram), date, figures_mb, author, matrix)
+    with output.progress("report", 1):
+        from loopshape.verbs.files import write_report
+        from loopshape.view.html.words import WORDS
+
+        made, size = write_report(path, run, (controller, require, diagram), date, figures_mb, author, matrix)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
         output.say(f"missing: {one.what} {one.command}".rstrip())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import logging
 import os
 import pickle
 import re
@@ -100,7 +101,10 @@ class Kept:
         """The compiled form for a signature; None where there is none or its file is damaged."""
         rtsys.initialize(target)  # what compiled code runs on; the rest of numba is for compiling, and half its start
         data = _whole(self._path(signature, target.codegen()))
-        return None if data is None else CompileResult._rebuild(target, *pickle.loads(data))
+        if data is not None:
+            return CompileResult._rebuild(target, *pickle.loads(data))
+        logging.getLogger("loopshape.kernels").info("compiling %s", self._function.__qualname__)  # seconds, and once
+        return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep a compiled form; a folder that takes no more is no reason to stop. Forms of older source are removed."""

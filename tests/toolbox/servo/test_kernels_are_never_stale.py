@@ -1,6 +1,8 @@
 """Compiled kernels kept on disk: an edit anywhere beneath one is seen, for every user and two processes at once."""
 
+import importlib.util
 import json
+import logging
 import math
 import os
 import shutil
@@ -209,3 +211,13 @@ def test_what_it_reads_may_not_be_written():
     if not numba.config.DISABLE_JIT:
         with pytest.raises(numba.TypingError, match=r"[Cc]annot"):
             caller(np.zeros(1))
+
+
+def test_a_compilation_is_logged_and_a_kept_form_is_not(tmp_path, caplog):
+    (tmp_path / "doubled_kernel.py").write_text("def doubled(x):\n    return 2.0 * x\n")
+    spec = importlib.util.spec_from_file_location("doubled_kernel", tmp_path / "doubled_kernel.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    caplog.set_level(logging.INFO, "loopshape.kernels")
+    assert [compiled(module.doubled)(4.0) for _ in range(2)] == [8.0, 8.0]
+    assert caplog.messages == ["compiling doubled"]

@@ -55,15 +55,17 @@ def import_file(
 
 def _draft(file: Path, path: Path, output: Output, rate_hz: float | None, *, accept: bool) -> None:
     """Write the draft of a file's map and its picture, and say each guess."""
-    from loopshape.toolbox.formats.drafts.draft_map import draft_map, write_draft
+    from loopshape.toolbox.formats.drafts.draft_map import draft_map, refuse_to_write_over, write_draft
     from loopshape.toolbox.formats.drafts.picture import draft as drawn
     from loopshape.verbs.pictures import save
 
-    made = draft_map(file, rate_hz)
-    units = {c.name: c.unit for c in made.columns}
-    figure = drawn({c.name: c.values for c in made.columns}, made.roles, units, made.rate_hz)
-    write_draft(path, made, file)  # last: a draft of what cannot be drawn would bar the next one
-    picture = save(figure, path.with_suffix(".png"))
+    refuse_to_write_over(path)
+    with output.progress("draft", 1):
+        made = draft_map(file, rate_hz)
+        units = {c.name: c.unit for c in made.columns}
+        figure = drawn({c.name: c.values for c in made.columns}, made.roles, units, made.rate_hz)
+        write_draft(path, made, file)  # last: a draft of what cannot be drawn would bar the next one
+        picture = save(figure, path.with_suffix(".png"))
     output.say(f"draft of a map: {path}, drawn in {picture}\n")
     for sentence in made.guesses:
         output.paragraph(f"- {sentence}")

@@ -196,14 +196,19 @@ def _brought(
     return tuple(made)
 
 
-def write_draft(path: Path, draft: Draft, file: Path) -> None:
-    """Write a draft's map, its guesses one a line; refuses to write over a file that is there."""
+def refuse_to_write_over(path: Path) -> None:
+    """Refuse a draft's file that is there already."""
     if path.exists():
         raise WrongUseError(
             "a draft is not written over a map",
             f"{path}, which is there already",
             f"import with it (--map {path} --out RUN), remove it, or give the draft another name (--draft FILE)",
         )
+
+
+def write_draft(path: Path, draft: Draft, file: Path) -> None:
+    """Write a draft's map, its guesses one a line; refuses to write over a file that is there."""
+    refuse_to_write_over(path)
     head = f"# Draft of a map of {file.name}: read it against [draft], correct it, then delete [draft].\n"
     body = toml_text({key: value for key, value in draft.table.items() if key != "draft"})
     lists = "".join(_listed(key, draft.table["draft"].get(key, ())) for key in ("guesses", "open"))

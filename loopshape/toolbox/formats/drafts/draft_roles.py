@@ -405,8 +405,8 @@ def _injection(seen: _Seen, roles: Roles, source: str) -> None:
     if through != at_controller or (not through and beside < _SMALL):
         roles.open.append(
             f"where {source!r} enters is not known: {control!r} {follows} in the same row, and beside {control!r} it"
-            f" explains {share} of what is new in {output!r}: write injection (controller_input, plant_input, or reference"
-            " where the control was logged behind the sum)."
+            f" explains {share} of what is new in {output!r}: write injection (controller_input, plant_input, or"
+            " reference where the control was logged behind the sum)."
         )
 
 

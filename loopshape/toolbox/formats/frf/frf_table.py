@@ -86,8 +86,8 @@ def _places(path: Path, layout: TextLayout) -> dict[str, tuple[int, str]]:
             }
     raise UnreadableInputError(
         f"{path.name} is no table of an FRF", short(", ".join(layout.names)) or "no header",
-        "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag; a recording in time"
-        " is read by ls.formats.read_table(file, map) or loopshape import",
+        "name its columns: frequency (Hz) with magnitude (dB) and phase (deg), or with real and imag;"
+        " a recording in time is read by loopshape import or ls.formats.read_table(file, map)",
     )  # fmt: skip
 
 

@@ -185,7 +185,7 @@ IN_PYTHON = {
     "check with its arguments swapped": (lambda: ls.check(C, P), "the wrong way round", "ls.check(P, C, R)"),
     "check with all of them moved": (lambda: ls.check(ls.Requirements(), P, C), "ls.check(P, C, R)"),
     "a model for a plant": (lambda: ls.check(TF, C), "P of ls.check", "ls.FRF.from_control(system, frequency_hz)"),
-    "a transfer function for a controller": (lambda: ls.check(P, TF), "C of ls.check", "ls.controller(*ls.fixed(system"),
+    "a transfer function as controller": (lambda: ls.check(P, TF), "C of", "ls.controller(*ls.fixed(system"),
     "poles that nothing declares": (
         lambda: ls.tune(P, ls.Requirements(sensitivity_peak_db=6.0, integrators=0), [ls.gain()]),
         "at frf 1; declare unstable_poles",

@@ -218,13 +218,14 @@ def test_integrators_come_from_the_requirements_then_a_fit_then_the_lowest_lines
 
 def test_fits_that_leave_more_than_noise_are_named_in_one_sentence():
     left = [
-        replace(fit(point, ThirdOrder()), p_value=0.001, misfit_db=db) for point, db in zip(POINTS, (0.25, 1.8, 0.7))
+        replace(fit(point, ThirdOrder()), p_value=0.001, misfit_db=db)
+        for point, db in zip(POINTS, (0.25, 1.8, 0.7), strict=False)
     ]
     assert len(left) > 2
     _, notes = loops_of(POINTS[: len(left)], controller(), wish(), left)
     assert [note for note in notes if "not used" in note] == [
-        f"the fits of {len(left)} recordings, {left[0].recording} to {left[-1].recording}, are not used: each leaves more"
-        " than noise (misfit 0.25 to 1.8 dB)"
+        f"the fits of {len(left)} recordings, {left[0].recording} to {left[-1].recording}, are not used: each leaves"
+        " more than noise (misfit 0.25 to 1.8 dB)"
     ]
 
 
