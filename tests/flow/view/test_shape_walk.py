@@ -105,3 +105,13 @@ def dragged(page: Any) -> None:
         page.mouse.move(x, y)
         page.wait_for_timeout(30)
     page.mouse.up()
+
+
+def test_a_page_without_requirements_takes_the_first_one(tmp_path: Path) -> None:
+    P, _, _ = shaped_cases.bench()
+    file = ls.shape(P, None, None, tmp_path / "bare.html")
+    with page_in_browser.browser() as browser:
+        page = page_in_browser.opened(browser.new_context(), file)
+        page.get_by_label("Add a requirement").select_option(label="phase margin")
+        page.get_by_role("button", name="add the requirement that is chosen").click()
+        assert page.get_by_label("required phase margin").input_value() == "45"

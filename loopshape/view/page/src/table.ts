@@ -51,7 +51,7 @@ export class RequirementTable {
   private readonly resonances = el("ul", { class: "stability", id: "resonances", "aria-label": "Detuning margins of single resonances" });
   private readonly adder = el("select", { id: "add-requirement" });
   private readonly cells = new Map<string, Cells>();
-  private shape = "";
+  private shape: string | null = null;
 
   constructor(
     private readonly limits: Limit[],
