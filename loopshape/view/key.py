@@ -153,6 +153,14 @@ def place_notes(ax: Axes, entries: Sequence[Entry], loc: str) -> Legend | None:
     return ax.legend(handles, texts, loc=loc, handletextpad=0.5) if entries else None  # type: ignore[call-overload]
 
 
+def notes_with_room(ax: Axes, entries: Sequence[Entry], loc: str) -> None:
+    """Such a legend at the lower or the upper end of an axes, which grows there to hold it."""
+    if place_notes(ax, entries, loc):
+        low, high = ax.get_ylim()
+        room = 0.13 * len(entries) * (high - low)
+        ax.set_ylim((low - room, high) if loc.startswith("lower") else (low, high + room))
+
+
 def _handles(entries: Sequence[Entry]) -> tuple[list[Line2D], list[str]]:
     return [Line2D([], [], **(look or {"linestyle": "none"})) for _, look in entries], [text for text, _ in entries]
 

@@ -14,7 +14,7 @@ from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.points import margins_of, worst_of
-from loopshape.view.key import Entry, place_notes
+from loopshape.view.key import Entry, notes_with_room
 from loopshape.view.labels import point
 from loopshape.view.plots.curves import hide_inner, known_lines, nearest_branch
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, head, new_figure, styled
@@ -139,10 +139,7 @@ def _notes(panels: dict[str, Axes], loop: Loop, requirements: Requirements | Non
     if np.any(loop.plant.variance):
         look: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.5, "linewidth": 6.0, "solid_capstyle": "butt"}
         curves.append(("95 %, each frequency by itself", look))
-    place_notes(panels["c"], curves, "best")
-    limits = limit_entries(requirements, None)
-    if place_notes(panels["S"], limits, "lower right"):
-        low, high = panels["S"].get_ylim()
-        panels["S"].set_ylim(low - 0.13 * len(limits) * (high - low), high)  # room for the notes
+    notes_with_room(panels["c"], curves, "upper right")
+    notes_with_room(panels["S"], limit_entries(requirements, None), "lower right")
     kinds = ", ".join(block.kind.replace("_", " ") for block in loop.controller.blocks)
     panels["C"].set_title(f"controller: {kinds}" if kinds else "controller", loc="left", fontsize=7.5, pad=2.5)

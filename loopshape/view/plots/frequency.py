@@ -102,7 +102,9 @@ def coherence(frf: FRF, *, ax: Axes | None = None, **look: Any) -> Axes:
     else:
         draw_valid(ax, frf.frequency_hz, frf.coherence, frf.valid, **({"color": COLOURS[0]} | look))
         if frf.averages > 1.0:
-            ax.axhline(1.0 / frf.averages, color="0.5", linestyle="--", linewidth=0.8, gid="bias")
+            ax.axhline(
+                1.0 / frf.averages, color="0.5", linestyle="--", linewidth=0.8, gid="bias", label="unrelated signals"
+            )
     frequency_axis(ax, *shown_band_hz(frf))
     ax.set_ylim(0.0, 1.05)
     ax.set_ylabel("coherence [1]")
@@ -155,7 +157,7 @@ def shade_band(frf: FRF, *, ax: Axes) -> Axes:
     """Shade the valid band, from its lowest to its highest frequency; nothing where it is empty."""
     low, high = frf.valid_band_hz
     if np.isfinite(low):
-        ax.axvspan(low, high, **_SHADE)
+        ax.axvspan(low, high, label="valid band", **_SHADE)
     return ax
 
 
@@ -205,6 +207,8 @@ def frf_page(frf: FRF, fit: Fit | None = None) -> Figure:
         a.set_ylim(low - 0.2 * (high - low), high)  # room for the legend
     for ax in figure.axes:
         shade_band(frf, ax=ax)
+    for ax in (one for one in d if one.get_legend_handles_labels()[0]):
+        ax.legend(loc="center left", fontsize=7.0)
     hide_inner(a, *c)
     head(figure, _title(frf), frf.method, *_fit_lines(fit), *frf.notes)
     return figure

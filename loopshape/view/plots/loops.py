@@ -10,7 +10,7 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.points import worst_of
-from loopshape.view.key import key_of, place_key, place_notes
+from loopshape.view.key import key_of, notes_with_room, place_key, place_notes
 from loopshape.view.plots.curves import hide_inner
 from loopshape.view.style import FULL_WIDTH_IN, LIMIT, head, new_figure, styled
 from loopshape.view.verdict.loop_parts import (
@@ -35,7 +35,7 @@ def loop_page(loops: Sequence[Loop], requirements: Requirements | None, *, verdi
     """Plant, controller, open loop with their phases, |S| and |T| with limits; as figure 5.3 of DCT 2007.002.
 
     The worst operating point is thick and has its 95 % bands. The required bandwidth is a red line; with a verdict the
-    span of the bandwidths found is shaded. Of one loop `bode_page` shows more.
+    range of bandwidths is shaded. Of one loop `bode_page` shows more.
     """
     needs_loops(loops)
     key, worst = key_of([loop.plant for loop in loops]), worst_of(loops, verdict)
@@ -48,11 +48,8 @@ def loop_page(loops: Sequence[Loop], requirements: Requirements | None, *, verdi
         sensitivity(panels[name], loops, looks, name, worst.index)
     hide_inner(*figure.axes[:-2])
     guides(panels, requirements, verdict)
-    place_notes(panels["c"], worst_entries(loops, looks, worst.index), "best")
-    entries = limit_entries(requirements, verdict)
-    if place_notes(panels["S"], entries, "lower right"):
-        low, high = panels["S"].get_ylim()
-        panels["S"].set_ylim(low - 0.13 * len(entries) * (high - low), high)  # room for the notes
+    notes_with_room(panels["c"], worst_entries(loops, looks, worst.index), "upper right")
+    notes_with_room(panels["S"], limit_entries(requirements, verdict), "lower right")
     place_key(figure, key)
     head(figure, title_of("Loop shaping", loops), worst_text(loops, worst, verdict), key.common)
     return figure
