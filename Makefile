@@ -12,8 +12,9 @@ help: ## list the targets
 
 $(STAMP): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "loopshape needs Python 3.11 or newer; set PYTHON=python3.x"; exit 2; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	@echo "loopshape and its tools go into $(VENV): 2 GB, one to three minutes"
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $(STAMP)
 
 install: $(STAMP) ## make the environment in .venv
@@ -25,7 +26,8 @@ demo: $(STAMP) ## the main job: identify, fit, tune and check the simulated arm 
 	$(BIN)/loopshape demo --out demo
 
 docs: $(STAMP) ## build the documentation site into build/docs; every warning is an error
-	$(BIN)/python -m sphinx -W --keep-going -q -b html -d build/doctrees docs build/docs
+	@echo "the examples of the gallery and the notebooks run first: a minute and a half"
+	@$(BIN)/python -m sphinx -W --keep-going -q -b html -d build/doctrees docs build/docs
 	@echo "build/docs/index.html"
 
 # A worker a core, each with whole files while it has them: what a file's tests share is made once, not on every worker.

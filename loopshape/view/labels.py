@@ -226,7 +226,8 @@ def root_cells(frequency: Estimate, damping: Estimate, highest_hz: float) -> lis
     A real root that the lines up to `highest_hz` do not tell from one at infinity has a bound in place of a value.
     """
     if abs(damping.value) < 1.0 - 1e-9:
-        return [*(plus_minus(e.value, 1.96 * e.std) for e in (frequency, damping)), None]
+        cells = [plus_minus(e.value, 1.96 * e.std) for e in (frequency, damping)]
+        return [cells[0] + ", above the measured frequencies" * (frequency.value > highest_hz), cells[1], None]
     side = "" if damping.value > 0.0 else ", right half plane"
     constant = 1.0 / (TWO_PI * frequency.value)
     if frequency.value > FAR * highest_hz:

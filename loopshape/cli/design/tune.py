@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops, Turn
 
-RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML).")]
+RequireFile = Annotated[Path, typer.Option("--require", help="Requirements (TOML), keys in docs/requirements.md.")]
 
 
 def tune(
@@ -47,7 +47,7 @@ def tune(
 ) -> None:
     """Tune a controller for all FRFs of a run at once. Its structures are those of the requirements file.
 
-    Where requirements cannot be met it says what holds them apart, and what to relax by how much. Exit code 1 then,
+    Where requirements cannot be met it names those in conflict, and what to relax by how much. Exit code 1 then,
     and nothing is written. With --grow blocks are added to the structures as long as they pay.
     """
     feasible = tune_run(

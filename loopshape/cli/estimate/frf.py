@@ -29,7 +29,9 @@ def frf(
         str, typer.Option(help="Welch: hann, hamming, blackman(harris), bartlett, flattop, boxcar.")
     ] = "hann",
     symmetric: Annotated[bool, typer.Option("--symmetric", help="The window's symmetric form, not periodic.")] = False,
-    detrend: Annotated[str, typer.Option(help="Taken off each of Welch's segments: mean, linear, or none.")] = "mean",
+    detrend: Annotated[
+        str, typer.Option(help="Removed from each of Welch's segments: mean, linear, or none.")
+    ] = "mean",
     segment_samples: Annotated[
         int | None, typer.Option(help="Length of Welch's segments; in place of --resolution-hz.")
     ] = None,

@@ -25,7 +25,7 @@ def predict(
 ) -> None:
     """Predict S, T and the step of each loop.
 
-    Under a controller; `loopshape compare` compares a later run with it.
+    With the controller in place of the recorded one; `loopshape compare` compares a later run with it.
     """
     from loopshape.verbs import runs
     from loopshape.verbs.files import write

@@ -18,9 +18,9 @@ def report(
     require: Annotated[Path | None, typer.Option(help="Requirements (TOML) that it is compared with.")] = None,
     diagram: DiagramFile = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: report.html in the run.")] = None,
-    date: Annotated[str | None, typer.Option(help="The date that it bears; default: now.")] = None,
+    date: Annotated[str | None, typer.Option(help="Date on the report; default: now.")] = None,
     figures_mb: Annotated[float, typer.Option(min=0.0, help="Size of pictures beside the main ones.")] = 0.7,
-    author: Annotated[str, typer.Option(help="Who signs it.")] = "",
+    author: Annotated[str, typer.Option(help="Author on the report.")] = "",
     matrix: Annotated[
         bool, typer.Option("--matrix", help="All loops of the plant's matrix at once, as check does.")
     ] = False,

@@ -114,6 +114,7 @@ def roots(f_hz, std_hz, damping):
 
 def test_real_roots_are_time_constants_and_far_ones_bounds():
     assert roots(2.0, 0.02, 0.5) == ["2.000 ± 0.039", "0.5 ± 0", None]
+    assert roots(41.0, 0.02, 0.5)[0] == "41.000 ± 0.039, above the measured frequencies"
     assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, 1.0) == [None, None, "1.000 ± 0.020"]
     assert roots(1.0 / TWO_PI, 0.01 / TWO_PI, -1.0) == [None, None, "1.000 ± 0.020, right half plane"]
     far = roots(2.3e5, 8.7e14, -1.0)[2]
