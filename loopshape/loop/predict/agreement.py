@@ -129,10 +129,15 @@ def _thinned(frf: FRF, rows: np.ndarray, there: int) -> FRF:
 
 
 def _bends(S: ComplexArray) -> Array:
-    """What a straight line between neighbours misses at most, |second difference|/8, at each line."""
-    if S.size < 3:
-        return np.zeros(S.size)
-    return np.pad(np.abs(np.diff(S, 2)) / 8.0, 1, mode="edge")
+    """What a straight line between neighbours may miss at each line: how far lines lie off it, the worst of three.
+
+    That is |second difference|/2, of which a curve that the lines resolve misses a quarter between them; one that they
+    do not resolve, all. Where too few lines tell, all of S.
+    """
+    if S.size < 4:
+        return np.abs(S)
+    off = np.pad(np.abs(np.diff(S, 2)) / 2.0, 2, mode="edge")
+    return np.asarray(np.maximum(np.maximum(off[:-2], off[1:-1]), off[2:]))
 
 
 def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0.0, plants: bool = False) -> Lines:
