@@ -230,6 +230,21 @@ def test_the_detuning_margin_moves_with_the_controller(percent: float | None, co
     assert len({round(x, 3) for x in found if 0.0 < x < 20.0}) >= 3
 
 
+def test_a_loop_below_1_down_to_0_hz_keeps_its_detuning_margin(context: Any, tmp_path: Path) -> None:
+    """L is finite at 0 Hz and nowhere 1: shifted it is read down to there, or the peak of |S| would be open."""
+    f = np.geomspace(0.5, 200.0, 200)
+    P = shaped_cases.noisy(f, 1.0 / (1.0 + 1j * f / 8.0) ** 2, 0.01, "lag", seed=3)
+    R = ls.Requirements("x", sensitivity_peak_db=6.0, integrators=0, unstable_poles=0, detuning_percent=2.0)
+    made = [ls.controller(ls.gain(g), rate_hz=shaped_cases.RATE_HZ, loop="x") for g in (0.5, 0.8)]
+    verdicts = [ls.check([P], C, R) for C in made]
+    assert [v.outcome for v in verdicts] == [ls.Outcome.PASSED] * 2
+    file = tmp_path / "shape.html"
+    file.write_bytes(page_of([shaped([P], made[0], R, ())], "test"))
+    page = page_in_browser.opened(context, file)
+    assert [differences(v, asked(page, C)) for v, C in zip(verdicts, made, strict=True)] == [[]] * 2
+    page.close()
+
+
 def test_each_resonance_moved_alone_leaves_what_check_says(context: Any, tmp_path: Path) -> None:
     """Two resonances that a notch and the crossover meet, with and without a model that leads below the lines."""
     f = np.geomspace(0.5, 300.0, 300)
