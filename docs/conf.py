@@ -97,7 +97,7 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
     "min_reported_time": 1e9,
     "ignore_repr_types": r"matplotlib|Figure|Axes",
-    "image_scrapers": ("matplotlib", "conf.last_picture"),
+    "image_scrapers": ("conf.last_picture", "matplotlib"),
     "remove_config_comments": True,
 }
 warnings.filterwarnings("ignore", message="FigureCanvasAgg is non-interactive")
@@ -110,13 +110,11 @@ def last_picture(block: Any, block_vars: Any, gallery_conf: Any) -> str:
     """The picture that a block ends with: those of `loopshape.plot` are not among pyplot's."""
     last = block_vars["example_globals"].get("___")
     figure = last.figure if isinstance(last, Axes) else last
-    if (
-        not isinstance(figure, Figure)
-        or figure in SHOWN
-        or plt.fignum_exists(getattr(figure, "number", -1))
-    ):
+    if not isinstance(figure, Figure) or figure in SHOWN:
         return ""
     SHOWN.add(figure)
+    if plt.fignum_exists(getattr(figure, "number", -1)):
+        return ""  # the next scraper, matplotlib's, shows it
     path = next(block_vars["image_path_iterator"])
     figure.savefig(path, dpi=130)
     return figure_rst([path], gallery_conf["src_dir"])

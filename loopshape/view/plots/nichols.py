@@ -102,13 +102,13 @@ def nichols(
 def _guides(ax: Axes, one: _Curve, worst: Worst, required: Requirements | None, entries: Sequence[Entry]) -> None:
     """Words where there is room for them: notes, the worst point's name, the contours' levels."""
     room = LabelRoom(ax, _SIZE_IN)
-    loc = corner_with_room(ax, room, entries)
-    room.add_corner(loc, entries)
     closest = None if required is None else closest_db(required)
     if required is None:
         centre_marks(ax)
     else:
         forbidden(ax, room, required, closest)
+    loc = corner_with_room(ax, room, entries)
+    room.add_corner(loc, entries)
     _name(ax, room, one, worst)
     _frequencies(ax, room, one)
     contours(ax, room, closest)
