@@ -1,15 +1,16 @@
 // One operating point under one controller: the lines that margins are read from (Python: loop/between.py, low_end.py,
 // and the first half of loop/margins.py).
 
-import { concat, joined, magnitudes, placeIn, rint, times, union, zeros, type Complex, type Real } from "../numbers/arrays";
+import { concat, joined, magnitudes, placeIn, rint, times, union, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import type { Controller } from "../numbers/controller";
-import { densified, knownPlant, passingDraws, withBetween, type Dense, type Draws, type Source } from "../numbers/dense";
+import { densified, Drawn, knownPlant, withBetween, type Dense, type Draws, type Source } from "../numbers/dense";
 import type { ExtrapolatedModel, Point } from "../payload";
 
 /** A measured plant with what is known between its lines, with draws or without. */
 export class Plant {
   private known: Dense | null = null;
+  private readonly moves = new Map<ExtrapolatedModel, Draws>();
   constructor(
     readonly point: Point,
     readonly source: Source,
@@ -20,6 +21,31 @@ export class Plant {
     this.known ??= knownPlant(this.point, this.source, this.drawn);
     return this.known;
   }
+
+  /** What errors of the lowest lines do to a small model of them, at its places below them (Python: LowModel.deviations). */
+  movesBelow(model: ExtrapolatedModel): Draws {
+    const made = this.moves.get(model) ?? movesOf(this, model);
+    this.moves.set(model, made);
+    return made;
+  }
+}
+
+function movesOf({ dense, point }: Plant, { slopes, influence, lines, P }: ExtrapolatedModel): Draws {
+  const own = Array.from({ length: lines }, (_, k) => (dense.draws as Draws)[placeIn(dense.f, point.f[k])]);
+  const [{ count: draws }] = own;
+  const count = influence.length / (2 * lines);
+  const changes = Array.from({ length: count }, (_, p) => {
+    const out = new Float64Array(draws);
+    for (let i = 0, row = p * 2 * lines; i < lines; i++, row++) {
+      for (let d = 0; d < draws; d++) out[d] += influence[row] * own[i].re[d] + influence[row + lines] * own[i].im[d];
+    }
+    return new Drawn(out, new Float64Array(draws));
+  });
+  return Array.from(P.re, (_, k) => {
+    const out = Drawn.fresh(draws);
+    changes.forEach((change, p) => out.add(change, slopes.re[k * count + p], slopes.im[k * count + p]));
+    return out;
+  });
 }
 
 /** A plant under a controller: L on its lines, and on places between them where 1 + L moves far. */
@@ -30,8 +56,6 @@ export class Loop {
   readonly dense: Dense;
   readonly denseC: Complex;
   readonly denseL: Complex;
-  /** Draws of the error of denseL, good until another loop is made. */
-  readonly draws: Draws | null;
 
   constructor(
     readonly plant: Plant,
@@ -44,8 +68,6 @@ export class Loop {
     this.dense = interpolated(plant.dense, controller, source);
     this.denseC = control.responseOn(controller, this.dense.f);
     this.denseL = times(this.denseC, this.dense.P);
-    const own = this.dense.draws;
-    this.draws = own && scaled(own, this.denseC, this.dense === plant.dense ? passingDraws(own.count, this.dense.f.length) : own);
   }
 
   get point(): Point {
@@ -88,17 +110,29 @@ function controllerPlaces(controller: Controller, f: Real, { constants }: Source
   return Float64Array.from(places.filter((x) => x > f[0] && x < f[f.length - 1]));
 }
 
-/** Lines that margins are read from, with L's reference and draws. */
+/** Lines that margins are read from; draws of L are `reference` and `factor` times `draws`. */
 export interface Judged {
   f: Real;
   L: Complex;
   C: Complex;
   reference: Complex;
+  factor: Complex;
   draws: Draws | null;
+  /** Those from the first measured one on, where a model leads to it. */
+  measured?: Judged;
+}
+
+/** What is found of a loop, once. */
+function once<T>(find: (loop: Loop) => T): (loop: Loop) => T {
+  const known = new WeakMap<Loop, T>();
+  return (loop) => {
+    if (!known.has(loop)) known.set(loop, find(loop));
+    return known.get(loop) as T;
+  };
 }
 
 /** Whether the lines show where |L| first falls through 1, or tell that it does not do so below them (`in_sight`). */
-export function inSight(loop: Loop): boolean {
+export const inSight = once((loop: Loop): boolean => {
   const { point, f, L } = loop;
   const { extrapolated_below, far_below, agree } = loop.plant.source.constants;
   if (Math.hypot(L.re[0], L.im[0]) >= 1 && slopeOf(loop) > -agree) return true;
@@ -109,10 +143,10 @@ export function inSight(loop: Loop): boolean {
   if (loop.integrators <= 0 && largest < 1) return true;
   const from = f[0] / extrapolated_below;
   return below.every((size) => size.some((x, k) => point.below_f[k] >= from && x >= 1));
-}
+});
 
 /** How far towards -1 lines above those used may reach that are known well; 0 where none does (`Loop.largest_above`). */
-export function largestAbove({ point, controller }: Loop): number {
+export const largestAbove = once(({ point, controller }: Loop): number => {
   if (!point.above_band) return 0;
   const { f, P, half_width, known } = point.above_band;
   const C = control.response(controller, f);
@@ -125,16 +159,16 @@ export function largestAbove({ point, controller }: Loop): number {
     most = Math.max(most, 1 - Math.hypot(1 + share * L.re[k], share * L.im[k]) + radius);
   }
   return most;
-}
+});
 
 /** L below the first line, by each small model of the lowest lines. */
-export function belowLines({ point, controller }: Loop): Complex[] {
+export const belowLines = once(({ point, controller }: Loop): Complex[] => {
   const C = control.response(controller, point.below_f);
   return point.below.map((P) => times(C, P));
-}
+});
 
 /** -slope/20 dB a decade of L over the lowest lines, a factor of 1.6 in frequency and four at least. */
-export function slopeOf({ point, f, C }: Loop): number {
+export const slopeOf = once(({ point, f, C }: Loop): number => {
   const size = magnitudes(times(C, point.raw));
   const count = Math.min(Math.max(4, placeIn(f, 1.6 * f[0])), f.length);
   if (count < 2) return 0;
@@ -143,13 +177,13 @@ export function slopeOf({ point, f, C }: Loop): number {
   const [mx, my] = [x, y].map((values) => values.reduce((a, b) => a + b, 0) / count);
   const spread = x.reduce((sum, value) => sum + (value - mx) ** 2, 0);
   return -x.reduce((sum, value, k) => sum + (value - mx) * (y[k] - my), 0) / spread;
-}
+});
 
 /** Whether L starts so large that nothing below its first line comes near -1 (`is_large`). */
-export function isLarge(loop: Loop): boolean {
+export const isLarge = once((loop: Loop): boolean => {
   const { large, agree } = loop.plant.source.constants;
   return Math.hypot(loop.L.re[0], loop.L.im[0]) >= large && loop.integrators >= 0 && slopeOf(loop) > -agree;
-}
+});
 
 /** Whether the lowest lines tell how L goes on below them (`is_told`). */
 export function isTold(loop: Loop): boolean {
@@ -172,87 +206,31 @@ export function holdsBelow(loop: Loop, poles: number): boolean {
 
 /** The lines that a loop's margins are read from, once for each model that tells what lies below them. */
 export function readings(loop: Loop): Judged[] {
-  const { dense, denseC, denseL, draws, point } = loop;
-  const j = { f: dense.f, L: denseL, C: denseC, reference: times(denseC, dense.reference), draws };
+  const { dense, denseC, denseL, point } = loop;
+  const j = { f: dense.f, L: denseL, C: denseC, reference: times(denseC, dense.reference), factor: denseC, draws: dense.draws };
   if (point.integrators === null || isLarge(loop) || !inSight(loop)) return [j];
-  const found = point.extrapolated.map((model) => fromBelow(loop, j, model));
-  return found.length ? found : [j];
+  const models = j.draws ? point.extrapolated : point.extrapolated.slice(0, 1); // the others widen intervals
+  return models.length ? fromBelow(loop, j, models) : [j];
 }
 
-function before(draws: Draws, extrapolated: number, at: (d: number, k: number) => [number, number]): Draws {
-  const n = draws.re.length / draws.count;
-  const wide = n + extrapolated;
-  const out = { count: draws.count, re: new Float64Array(draws.count * wide), im: new Float64Array(draws.count * wide) };
-  for (let d = 0; d < draws.count; d++) {
-    for (let k = 0; k < extrapolated; k++) [out.re[d * wide + k], out.im[d * wide + k]] = at(d, k);
-    out.re.set(draws.re.subarray(d * n, (d + 1) * n), d * wide + extrapolated);
-    out.im.set(draws.im.subarray(d * n, (d + 1) * n), d * wide + extrapolated);
-  }
-  return out;
-}
-
-/** Draws of P as draws of C P, into `out`, which may be the same. */
-function scaled(draws: Draws, C: Complex, out: Draws): Draws {
-  const n = C.re.length;
-  for (let d = 0, i = 0; d < draws.count; d++) {
-    for (let k = 0; k < n; k++, i++) {
-      const x = draws.re[i];
-      const y = draws.im[i];
-      out.re[i] = x * C.re[k] - y * C.im[k];
-      out.im[i] = x * C.im[k] + y * C.re[k];
-    }
-  }
-  return out;
-}
-
-/** The lines with those before them as a model tells them, down to 0 Hz where L is finite there (`_from_below`). */
-function fromBelow(loop: Loop, j: Judged, model: ExtrapolatedModel): Judged {
+/** The lines with those before them as models tell them, down to 0 Hz where L is finite there (`_from_below`). */
+function fromBelow(loop: Loop, j: Judged, models: ExtrapolatedModel[]): Judged[] {
   const finite = loop.integrators <= 0;
   const skipped = finite ? 0 : 1;
   const shares = loop.plant.source.constants.below_ratios.slice(skipped);
-  const f = Float64Array.from(shares, (share) => j.f[0] * share);
-  const C = control.response(loop.controller, f);
-  const P = { re: model.P.re.subarray(skipped), im: model.P.im.subarray(skipped) };
-  const L = times(C, P);
-  if (finite) L.im[0] = L.re[0] < 0 ? -1e-9 * Math.hypot(L.re[0], L.im[0]) * (L.im[1] >= 0 ? 1 : -1) : 0;
-  let draws: Draws | null = null;
-  if (j.draws) {
-    const moved = modelMoves(loop, C, model, skipped);
-    draws = before(j.draws, f.length, (d, k) => {
-      const at = d * f.length + k;
-      return [moved.re[at], finite && k === 0 ? 0 : moved.im[at]];
-    });
-  }
-  return { f: concat(f, j.f), L: joined(L, j.L), C: joined(C, j.C), reference: joined(L, j.reference), draws };
-}
-
-/** What errors of the lowest lines do to C times a small model, at its places from the one `skipped` on. */
-export function modelMoves(loop: Loop, C: Complex, { slopes, influence, lines }: ExtrapolatedModel, skipped: number): Complex {
-  const own = loop.plant.dense.draws as Draws;
-  const dense = loop.plant.dense.f;
-  const n = dense.length;
-  const at = Array.from({ length: lines }, (_, k) => placeIn(dense, loop.f[k]));
-  const count = influence.length / (2 * lines);
-  const change = new Float64Array(count);
-  const out = zeros(own.count * C.re.length);
-  for (let d = 0; d < own.count; d++) {
-    for (let p = 0; p < count; p++) {
-      change[p] = 0;
-      for (let i = 0; i < lines; i++) {
-        const row = p * 2 * lines + i;
-        change[p] += influence[row] * own.re[d * n + at[i]] + influence[row + lines] * own.im[d * n + at[i]];
-      }
+  const own = Float64Array.from(shares, (share) => j.f[0] * share);
+  const below = control.response(loop.controller, own);
+  const factor = joined(below, j.factor);
+  if (finite) [factor.re[0], factor.im[0]] = [1, 0];
+  const [f, C] = [concat(own, j.f), joined(below, j.C)];
+  return models.map((model) => {
+    const L = times(below, { re: model.P.re.subarray(skipped), im: model.P.im.subarray(skipped) });
+    const draws = j.draws && loop.plant.movesBelow(model).slice(skipped);
+    if (finite) L.im[0] = L.re[0] < 0 ? -1e-9 * Math.hypot(L.re[0], L.im[0]) * (L.im[1] >= 0 ? 1 : -1) : 0;
+    if (finite && draws) {
+      const [{ re, im }] = draws;
+      draws[0] = new Drawn(re.map((x, d) => below.re[0] * x - below.im[0] * im[d]), new Float64Array(re.length));
     }
-    for (let k = 0; k < C.re.length; k++) {
-      let [re, im] = [0, 0];
-      for (let p = 0; p < count; p++) {
-        re += slopes.re[(k + skipped) * count + p] * change[p];
-        im += slopes.im[(k + skipped) * count + p] * change[p];
-      }
-      const place = d * C.re.length + k;
-      out.re[place] = C.re[k] * re - C.im[k] * im;
-      out.im[place] = C.re[k] * im + C.im[k] * re;
-    }
-  }
-  return out;
+    return { f, L: joined(L, j.L), C, reference: joined(L, j.reference), factor, draws: draws && draws.concat(j.draws as Draws), measured: j };
+  });
 }

@@ -2,10 +2,10 @@
 
 import { clip, db, fromDb, geometric, magnitudes, placeIn, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
-import { sumsOf, type Draws } from "../numbers/dense";
 import type { Detuning } from "./detuning";
 import type { ReadLimit } from "../payload";
 import type { Reader } from "./limits";
+import type { Draws } from "../numbers/dense";
 import { inSight, isLarge, largestAbove, readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
 import type { Stability } from "./stability";
@@ -45,24 +45,30 @@ export interface Margins {
 
 /** Margins of a loop; with draws they are bias-corrected and have intervals. */
 export function margins(loop: Loop, reader: Reader): Margins {
-  const [first, ...others] = readings(loop);
-  const { found, at } = nominal(loop, first, reader);
-  const own = withIntervals(loop, first, found, reader, true);
-  for (const other of others) {
-    const its = withIntervals(loop, other, nominal(loop, other, reader).found, reader, true);
-    own.low = own.low.map((value, k) => Math.min(value, its.low[k]));
-    own.high = own.high.map((value, k) => Math.max(value, its.high[k]));
+  const judged = readings(loop);
+  const [first] = judged;
+  const grid = gridOf(loop, first, reader);
+  const scans = scansOf(loop, judged, grid);
+  const reads = scans.map((one) => readOf(grid, one, true));
+  const { at } = reads[0].rows;
+  const found = Float64Array.from(reads[0].rows.found, ([value], c) => kernel.inUnits(c, value));
+  const own = withIntervals(loop, first, reads[0], reader);
+  const ends = { value: own.value, low: own.low.slice(), high: own.high.slice() };
+  const like = { ...reads[0], ...own };
+  for (let m = 1; m < judged.length; m++) {
+    const its = withIntervals(loop, judged[m], reads[m], reader, like);
+    its.low.forEach((value, c) => (ends.low[c] = Math.min(ends.low[c], value)));
+    its.high.forEach((value, c) => (ends.high[c] = Math.max(ends.high[c], value)));
   }
-  const [low, high] = [fields(own.low, reader), fields(own.high, reader)];
-  const values = fields(own.value, reader);
+  const [values, low, high] = [ends.value, ends.low, ends.high].map((columns) => fields(columns, reader));
   const intervals: Record<string, Interval> = {};
   if (first.draws) {
     for (const name of Object.keys(low).filter((one) => one in high)) {
       intervals[name] = [Math.min(low[name], high[name]), Math.max(low[name], high[name])];
     }
   }
-  const ends = bounds(loop, first, found, reader);
-  const made = { values, intervals, bounds: ends, at_hz: places(at, first.f[0], reader) };
+  const best = bounds(loop, first, found, readOf(grid, scans[0], false), reader, like);
+  const made = { values, intervals, bounds: best, at_hz: places(at, first.f[0], reader) };
   const continued = first.f.length > loop.dense.f.length;
   if (!continued && !isLarge(loop) && first.f.length > 1 && first.f[0] > loop.plant.source.constants.at_zero * first.f[1]) boundedBelow(loop, first, made, reader);
   boundedAbove(loop, first, made);
@@ -88,7 +94,7 @@ function worst(found: Measured, name: string, value: number, at_hz: number, best
   [found.values[name], found.at_hz[name]] = [value, at_hz];
 }
 
-const size = ({ re, im }: Complex, k: number): number => Math.hypot(re[k], im[k]);
+const size = ({ re, im }: Complex, k: number): number => Math.sqrt(re[k] * re[k] + im[k] * im[k]);
 
 /** What may lie below the first line, where no model tells it and |L| is not large there (`_bounded_below`). */
 function boundedBelow(loop: Loop, j: Judged, found: Measured, { limits }: Reader): void {
@@ -124,28 +130,46 @@ function boundedAbove(loop: Loop, j: Judged, found: Measured): void {
   if (peak > found.values.process_peak_db) worst(found, "process_peak_db", peak, j.f[end]);
 }
 
-const grids = new WeakMap<Judged, kernel.Grid>();
-
-function gridOf(loop: Loop, j: Judged, reader: Reader): kernel.Grid {
-  const made = grids.get(j) ?? madeGrid(loop, j.f, j.C, reader);
-  grids.set(j, made);
-  return made;
-}
-
-function madeGrid(loop: Loop, f: Real, C: Complex, reader: Reader): kernel.Grid {
+function gridOf(loop: Loop, { f, C }: Judged, reader: Reader): kernel.Grid {
   const aboveF = aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz);
   const aboveC2 = kernel.squares(control.responseOn(loop.controller, aboveF));
   return kernel.gridOf(f, kernel.squares(C), aboveF, aboveC2, reader, largestAbove(loop));
 }
 
-const drawnReadings = new WeakMap<Judged, kernel.Readings>();
-
-/** What every draw reads, once for both ways to end above the last line. */
-function readingsOf(grid: kernel.Grid, j: Judged, draws: Draws): kernel.Readings {
-  const found = drawnReadings.get(j) ?? kernel.readDraws(grid, j.reference, draws);
-  drawnReadings.set(j, found);
-  return found;
+/** Scans of all lines, and of the reference on the even and on the odd ones, each with the first and the last. */
+interface Scans {
+  own: kernel.Scan;
+  halves: kernel.Scan[];
 }
+
+/** What the lines tell with each model of those below them: from the first line on they are scanned once. */
+function scansOf(loop: Loop, judged: Judged[], grid: kernel.Grid): Scans[] {
+  const [first] = judged;
+  const every = Array.from(grid.f.keys());
+  const below = every.length - loop.dense.f.length;
+  const last = every.length - 1;
+  const halves = first.draws ? [0, 1].map((half) => every.filter((k) => k % 2 === half || k === 0 || k === last)) : [];
+  const each = (lines: number[], rows: (j: Judged) => kernel.Rows): kernel.Scan[] => {
+    const from = lines.findIndex((k) => k >= below);
+    const upper = kernel.scan(grid, rows(first), lines.slice(from), !below);
+    const lower = lines.slice(0, from + 1);
+    return judged.map((j) => (below ? kernel.joined(kernel.scan(grid, rows(j), lower, true, upper.floors), upper) : upper));
+  };
+  const own = each(every, (j) => j);
+  const coarse = halves.map((lines) => each(lines, (j) => ({ L: j.reference })));
+  return own.map((one, m) => ({ own: one, halves: coarse.map((half) => half[m]) }));
+}
+
+/** Columns of L, its reference and its draws, and of the reference on every other line. */
+interface Read {
+  rows: kernel.Readings;
+  halves: kernel.Readings[];
+}
+
+const readOf = (grid: kernel.Grid, { own, halves }: Scans, bounded: boolean): Read => ({
+  rows: kernel.ended(grid, own, bounded),
+  halves: halves.map((half) => kernel.ended(grid, half, bounded)),
+});
 
 const above = new Map<string, Real>();
 
@@ -156,85 +180,68 @@ export function aboveHz(last: number, rate_hz: number): Real {
   return made;
 }
 
-function nominal(loop: Loop, j: Judged, reader: Reader, bounded = true): kernel.Reading {
-  const out = kernel.freshReading();
-  kernel.read(gridOf(loop, j, reader), j.L.re, j.L.im, bounded, out);
-  return out;
-}
-
 interface Ends {
   value: Float64Array;
   low: Float64Array;
   high: Float64Array;
 }
 
-function withIntervals(loop: Loop, j: Judged, found: Float64Array, reader: Reader, bounded: boolean): Ends {
-  if (!j.draws) return { value: found, low: found, high: found };
-  if (drowned(j, j.draws)) return { value: found, low: found.map(() => -Infinity), high: found.map(() => Infinity) };
-  const grid = gridOf(loop, j, reader);
-  const drawn = readingsOf(grid, j, j.draws)[bounded ? "bounded" : "open"];
-  const reference = kernel.freshReading();
-  kernel.read(grid, j.reference.re, j.reference.im, bounded, reference);
-  const out = { value: found.slice(), low: found.slice(), high: found.slice() };
-  const { half_width } = loop.plant.source.constants;
+/** Each column freed of its bias, with the ends of its interval; one that was read so before has its ends of then. */
+function withIntervals(loop: Loop, j: Judged, read: Read, reader: Reader, like?: Read & Ends): Ends {
+  const value = Float64Array.from(read.rows.found, ([own], c) => kernel.inUnits(c, own));
+  if (!j.draws) return { value, low: value, high: value };
+  if (drowned(j, j.draws)) return { value, low: value.map(() => -Infinity), high: value.map(() => Infinity) };
+  const out = { value: value.slice(), low: value.slice(), high: value.slice() };
   const scatters = scattersOf(reader);
-  const chords = betweenLines(loop, j, reference.found, reader, bounded);
-  for (let c = 0; c < kernel.COLUMNS; c++) {
-    const ordered = Float64Array.from({ length: j.draws.count }, (_, d) => drawn[d * kernel.COLUMNS + c]).sort();
-    const usual = ordered.every(Number.isFinite) && Number.isFinite(reference.found[c]) && Number.isFinite(found[c]);
-    if (usual && ofOnePiece(ordered) && deviation(ordered) <= (scatters.get(c) ?? Infinity)) {
-      out.value[c] = found[c] - (mean(ordered) - reference.found[c]);
-      const half = Math.hypot(half_width * deviation(ordered), chords[c]);
-      [out.low[c], out.high[c]] = [out.value[c] - half, out.value[c] + half];
-    } else {
-      const last = ordered.length - 1;
-      const k = Math.round(0.025 * last);
-      [out.low[c], out.high[c]] = [Math.min(ordered[k], found[c]), Math.max(ordered[last - k], found[c])];
-    }
+  for (let c = 0; c < (reader.masks.length ? kernel.COLUMNS : kernel.MASK_S); c++) {
+    const same = like && sameIn(like.rows, read.rows, c) && like.halves.every((half, k) => sameIn(half, read.halves[k], c));
+    const ends = same ? [like.value[c], like.low[c], like.high[c]] : endsOf(c, read, loop.plant.source.constants.half_width, scatters.get(c) ?? Infinity);
+    [out.value[c], out.low[c], out.high[c]] = ends;
   }
   return out;
 }
 
-/** How far columns may be off because lines are joined by chords: half of what changes with every other line. */
-function betweenLines(loop: Loop, j: Judged, found: Float64Array, reader: Reader, bounded: boolean): Float64Array {
-  const coarse = halvesOf(loop, j, reader).map(({ grid, k }) => {
-    const out = kernel.freshReading();
-    kernel.read(grid, taken(j.reference.re, k), taken(j.reference.im, k), bounded, out);
-    return out.found;
-  });
-  return found.map((value, c) => {
-    const changes = coarse.map((one) => Math.abs(one[c] - value)).filter(Number.isFinite);
-    return (0.5 * changes.reduce((a, b) => a + b, 0)) / coarse.length;
-  });
+function sameIn(one: kernel.Readings, other: kernel.Readings, c: number): boolean {
+  const [mine, its] = [one.found[c], other.found[c]];
+  for (let r = 0; r < mine.length; r++) if (mine[r] !== its[r]) return false;
+  return true;
 }
 
-interface Half {
-  grid: kernel.Grid;
-  k: number[];
+/** One column without its bias, and the ends of its interval. */
+function endsOf(c: number, { rows, halves }: Read, half_width: number, scatters: number): [number, number, number] {
+  const values = rows.found[c].map((value) => kernel.inUnits(c, value));
+  const [found, reference] = values;
+  const ordered = values.subarray(2).sort();
+  const last = ordered.length - 1;
+  if ([ordered[0], ordered[last], reference, found].every(Number.isFinite) && ofOnePiece(ordered) && deviation(ordered) <= scatters) {
+    const value = found - (mean(ordered) - reference);
+    const half = Math.hypot(half_width * deviation(ordered), betweenLines(c, halves, reference));
+    return [value, value - half, value + half];
+  }
+  const k = Math.round(0.025 * last);
+  return [found, Math.min(ordered[k], found), Math.max(ordered[last - k], found)];
 }
 
-const halves = new WeakMap<Judged, Half[]>();
-
-/** Grids of the even and of the odd lines, each with the first and the last. */
-function halvesOf(loop: Loop, j: Judged, reader: Reader): Half[] {
-  const made = halves.get(j) ?? [0, 1].map((first) => {
-    const k = Array.from(j.f.keys()).filter((at) => at % 2 === first || at === 0 || at === j.f.length - 1);
-    return { k, grid: madeGrid(loop, taken(j.f, k), { re: taken(j.C.re, k), im: taken(j.C.im, k) }, reader) };
-  });
-  halves.set(j, made);
-  return made;
+/** How far a column may be off because lines are joined by chords: half of what changes with every other line. */
+function betweenLines(c: number, halves: kernel.Readings[], value: number): number {
+  const changes = halves.map(({ found }) => Math.abs(kernel.inUnits(c, found[c][0]) - value)).filter(Number.isFinite);
+  return (0.5 * changes.reduce((a, b) => a + b, 0)) / halves.length;
 }
-
-const taken = (values: Real, k: number[]): Real => Float64Array.from(k, (at) => values[at]);
 
 /** Up to which deviation a column scatters as a logarithm, of distances to -1 and of peaks over them. */
 const scattersOf = ({ limits }: Reader): Map<number, number> => new Map(columnsOf(limits).map(([{ distance }, k]) => [k, distance]));
 
-const mean = (values: Float64Array): number => values.reduce((a, b) => a + b, 0) / values.length;
+function mean(values: Float64Array): number {
+  let total = 0;
+  for (let d = 0; d < values.length; d++) total += values[d];
+  return total / values.length;
+}
 
 function deviation(values: Float64Array): number {
   const middle = mean(values);
-  return Math.sqrt(values.reduce((a, b) => a + (b - middle) ** 2, 0) / values.length);
+  let total = 0;
+  for (let d = 0; d < values.length; d++) total += (values[d] - middle) ** 2;
+  return Math.sqrt(total / values.length);
 }
 
 /** Whether ordered draws scatter as about one value, and do not jump from one crossing to another. */
@@ -247,31 +254,42 @@ function ofOnePiece(ordered: Float64Array): boolean {
 
 /** Whether errors as large as L itself, where L is not small, leave nothing that draws could tell. */
 function drowned(j: Judged, draws: Draws): boolean {
-  const { power, re, im } = sumsOf(draws, j.f.length);
-  let large = 0;
-  let lost = 0;
-  for (let k = 0; k < j.f.length; k++) {
-    const size = Math.hypot(j.L.re[k], j.L.im[k]);
-    if (size <= 0.1) continue;
-    large += 1;
-    const variance = power[k] / draws.count - (re[k] / draws.count) ** 2 - (im[k] / draws.count) ** 2;
-    if (Math.sqrt(Math.max(variance, 0)) > 0.7 * size) lost += 1;
-  }
+  const own = lostLines(j, draws, j.f.length - (j.measured?.f.length ?? 0));
+  const [large, lost] = j.measured?.draws ? lostOf(j.measured, j.measured.draws).map((count, k) => count + own[k]) : own;
   return large > 0 && lost > 0.1 * large;
 }
 
+const known = new WeakMap<Judged, [number, number]>();
+
+function lostOf(j: Judged, draws: Draws): [number, number] {
+  const made = known.get(j) ?? lostLines(j, draws, j.f.length);
+  known.set(j, made);
+  return made;
+}
+
+/** Of the first lines, how many are not small, and in how many of these errors are as large as L. */
+function lostLines({ L, factor }: Judged, draws: Draws, count: number): [number, number] {
+  const out: [number, number] = [0, 0];
+  for (let k = 0; k < count; k++) {
+    const large = size(L, k);
+    if (large <= 0.1) continue;
+    out[0] += 1;
+    if (size(factor, k) * draws[k].std > 0.7 * large) out[1] += 1;
+  }
+  return out;
+}
+
 /** How good the quantities may be that what lies above the last line bounds (`_bounds`). */
-function bounds(loop: Loop, j: Judged, found: Float64Array, reader: Reader): Record<string, number> {
-  const best = nominal(loop, j, reader, false).found;
+function bounds(loop: Loop, j: Judged, found: Float64Array, open: Read, reader: Reader, like: Read & Ends): Record<string, number> {
+  const best = open.rows.found.map(([value], c) => kernel.inUnits(c, value));
   const out: Record<string, number> = {};
   for (const [{ name }, k] of columnsOf(reader.limits).filter(([{ open }]) => open)) {
     if (found[k] === Math.log(j.f[j.f.length - 1])) out[name] = Infinity;
   }
-  const bounded = found.map((value, k) => (value === best[k] ? 0 : 1));
-  if (!bounded.some(Boolean)) return out;
-  const { low, high } = withIntervals(loop, j, best, reader, false);
-  const better = best.map((value, k) =>
-    bounded[k] ? (value > found[k] ? Math.max(low[k], high[k]) : Math.min(low[k], high[k])) : NaN,
+  if (best.every((value, k) => value === found[k])) return out;
+  const { low, high } = withIntervals(loop, j, open, reader, like);
+  const better = found.map((value, k) =>
+    value === best[k] ? NaN : best[k] > value ? Math.max(low[k], high[k]) : Math.min(low[k], high[k]),
   );
   for (const [name, value] of Object.entries(fields(better, reader))) if (!Number.isNaN(value)) out[name] = value;
   return out;

@@ -1,8 +1,9 @@
-// The margins of open loops on the same lines: one pass over the lines for each (Python: core/kernels/margins.py).
+// The margins of open loops on the same lines: one pass over the lines for all of them (Python: core/kernels/margins.py).
 
 import type { Complex, Real } from "../numbers/arrays";
 import type { Draws } from "../numbers/dense";
 import { weights, type Reader } from "./limits";
+import { chord } from "./turns";
 
 /** What a column of a reading holds. */
 export const GAIN_DB = 0;
@@ -79,18 +80,230 @@ function largestOver(masks: Real[] | null, f: Real, c2: Real): Peak[] {
   });
 }
 
-export function squares(C: Complex): Real {
-  return C.re.map((re, k) => re * re + C.im[k] * C.im[k]);
+export function squares({ re, im }: Complex): Real {
+  const out = new Float64Array(re.length);
+  for (let k = 0; k < re.length; k++) out[k] = re[k] * re[k] + im[k] * im[k];
+  return out;
 }
 
-/** One reading: margins by column, and where they lie in Hz. */
-export interface Reading {
-  found: Float64Array;
+/** Open loops on lines: L itself, and where there are draws its reference, to which `factor` times each is added. */
+export interface Rows {
+  L: Complex;
+  reference?: Complex;
+  factor?: Complex;
+  draws?: Draws | null;
+}
+
+/** Margins by column of each row, and where those of the first row lie in Hz. */
+export interface Readings {
+  found: Float64Array[];
   at: Float64Array;
 }
 
-export function freshReading(): Reading {
-  return { found: new Float64Array(COLUMNS), at: new Float64Array(COLUMNS) };
+/** What lines tell by themselves, magnitudes squared; |L|² on the first and the last of them, |1 + L|² on the last. */
+export interface Scan extends Readings {
+  /** Whether |S| starts above -3 dB, or rose to it. */
+  sensed: Uint8Array;
+  first: Float64Array;
+  last: Float64Array;
+  lastAway: Float64Array;
+  /** Frequencies of the first line, the second and the last. */
+  ends: [number, number, number];
+  /** What the largest of each quantity is at least, in every row. */
+  floors: Float64Array;
+}
+
+const isRising = Array.from({ length: COLUMNS }, (_, c) => LARGEST.includes(c) || RISING.includes(c));
+
+/** Equal parts of an array. */
+const pieces = (whole: Float64Array, count: number): Float64Array[] =>
+  Array.from({ length: count }, (_, k) => whole.subarray((k * whole.length) / count, ((k + 1) * whole.length) / count));
+
+const copied = (columns: Float64Array[]): Float64Array[] => pieces(new Float64Array(columns[0].buffer.slice(0)), COLUMNS);
+
+/** What some of the grid's lines tell, in their order; `begins` where none lies below them. */
+export function scan(grid: Grid, rows: Rows, lines: ArrayLike<number>, begins = true, floors: Float64Array = new Float64Array(QUANTITIES)): Scan {
+  const count = rows.draws ? rows.draws[0].count + 2 : 1;
+  const found = pieces(new Float64Array(COLUMNS * count), COLUMNS);
+  found.forEach((column, c) => column.fill(isRising[c] ? -Infinity : Infinity));
+  let [x, y, size, away, lastX, lastY, first, last, lastAway] = pieces(new Float64Array(9 * count), 9);
+  const hz = (i: number): number => grid.f[lines[i]];
+  const out: Scan = {
+    found, at: new Float64Array(COLUMNS).fill(NaN), sensed: new Uint8Array(count), first, last, lastAway,
+    ends: [hz(0), hz(1), hz(lines.length - 1)], floors: floors.slice(),
+  };
+  const needed = neededOf(grid, rows, lines, out.floors);
+  for (let i = 0; i < lines.length; i++) {
+    if (needed && !needed[i]) continue;
+    fill(rows, lines[i], x, y);
+    alone(grid, lines[i], x, y, size, away, out);
+    if (i && (!needed || needed[i - 1])) chords(hz(i - 1), hz(i), lastX, lastY, x, y, size, away, out);
+    if (!i) {
+      out.first.set(size);
+      if (begins) out.sensed.forEach((_, r) => (out.sensed[r] = away[r] <= 2 ? 1 : 0));
+    }
+    [x, y, size, away, lastX, lastY, out.last, out.lastAway] = [lastX, lastY, out.last, out.lastAway, x, y, size, away];
+  }
+  return out;
+}
+
+/** |CS| where it counts as high, |S|, |T|, |CS|, |PS|, |1 - L|/|1 + L|, those over their masks, and a floor over |L|. */
+const QUANTITIES = 12;
+
+function quantities({ f, c2, fromHz, masks }: Grid, k: number, L: number, far: number, T: number, mirrored: number, out: Float64Array): void {
+  const c = Math.sqrt(c2[k]);
+  const [CS, PS] = [c / far, T / c];
+  out[0] = f[k] >= fromHz ? CS : 0;
+  out[1] = 1 / far;
+  out[2] = T;
+  out[3] = CS;
+  out[4] = PS;
+  out[5] = mirrored / far;
+  if (!masks) return;
+  [1 / far, T, CS, PS, L].forEach((value, q) => (out[6 + q] = Math.sqrt(masks[q][k]) * value));
+}
+
+const ROUNDING = 1e-12;
+
+/** Which lines can tell something of a row: errors move L by a radius at most. Null where there are none, or all can. */
+function neededOf(grid: Grid, { L, reference, factor, draws }: Rows, lines: ArrayLike<number>, floors: Float64Array): Uint8Array | null {
+  if (!draws || !reference || !factor || grid.masks?.[5].some(Boolean)) return null;
+  const n = lines.length;
+  const most = new Float64Array(n * QUANTITIES);
+  const nearest = new Float64Array(n).fill(Infinity);
+  const out = new Uint8Array(n);
+  const least = new Float64Array(QUANTITIES);
+  let [before, now] = [new Float64Array(7), new Float64Array(7)];
+  for (let i = 0; i < n; i++) {
+    const k = lines[i];
+    const [x, y] = [reference.re[k], reference.im[k]];
+    const [l, far, mirrored] = [size(x, y), size(1 + x, y), size(1 - x, y)];
+    const moved = Math.max(size(factor.re[k], factor.im[k]) * draws[k].most, size(L.re[k] - x, L.im[k] - y)) + ROUNDING * (1 + l);
+    const own = most.subarray(i * QUANTITIES, (i + 1) * QUANTITIES);
+    const inverse = l > moved ? moved / (l * (l - moved)) : Infinity; // how far 1/L moves, by which a large |T| does
+    const [leastT, mostT] = [1 / (far / l + inverse), far / l > inverse ? 1 / (far / l - inverse) : Infinity];
+    const [lower, upper] = [Math.max(l - moved, 0), Math.max(far - moved, 1e-150)];
+    quantities(grid, k, lower, far + moved, Math.max(lower / (far + moved), leastT), Math.max(mirrored - moved, 0), least);
+    quantities(grid, k, l + moved, upper, Math.min((l + moved) / upper, mostT), mirrored + moved, own);
+    for (let q = 0; q < QUANTITIES; q++) floors[q] = Math.max(floors[q], least[q]);
+    now.set([x, y, moved, l, far, least[2], own[2]]);
+    if (i) {
+      nearest[i] = chord(reference, lines[i - 1], k) - Math.max(moved, before[2]);
+      if (mayCross(before, now)) out[i] = out[i - 1] = 1;
+    }
+    [before, now] = [now, before];
+  }
+  for (let i = 0; i < n; i++) {
+    for (let q = 0; q < QUANTITIES; q++) if (most[i * QUANTITIES + q] >= floors[q] && most[i * QUANTITIES + q] > 0) out[i] = 1;
+    if (nearest[i] * floors[1] <= 1) out[i] = out[i - 1] = 1;
+  }
+  out[0] = out[n - 1] = 1;
+  return out;
+}
+
+/** Whether errors allow |L|, its phase, |S| or |T| to pass a level between two lines. */
+function mayCross([x0, y0, r0, l0, far0, least0, most0]: Float64Array, [x1, y1, r1, l1, far1, least1, most1]: Float64Array): boolean {
+  const clear = (a: number, b: number, level: number): boolean => (a - r0 > level && b - r1 > level) || (a + r0 < level && b + r1 < level);
+  const ofT = Math.min(least0, least1) > Math.SQRT1_2 || Math.max(most0, most1) < Math.SQRT1_2;
+  return !(ofT && clear(l0, l1, 1) && clear(far0, far1, Math.SQRT2) && (clear(y0, y1, 0) || (x0 > r0 && x1 > r1)));
+}
+
+const size = (x: number, y: number): number => Math.sqrt(x * x + y * y);
+
+function fill({ L, reference, factor, draws }: Rows, k: number, x: Float64Array, y: Float64Array): void {
+  [x[0], y[0]] = [L.re[k], L.im[k]];
+  if (!reference || !factor || !draws) return;
+  const { re, im } = draws[k];
+  const [cr, ci, rr, ri] = [factor.re[k], factor.im[k], reference.re[k], reference.im[k]];
+  [x[1], y[1]] = [rr, ri];
+  for (let d = 0; d < re.length; d++) {
+    x[d + 2] = rr + (re[d] * cr - im[d] * ci);
+    y[d + 2] = ri + (re[d] * ci + im[d] * cr);
+  }
+}
+
+/** What one line tells by itself; |L|² and |1 + L|² there. Quotients are compared as products. */
+function alone({ f, c2, fromHz, masks }: Grid, k: number, x: Float64Array, y: Float64Array, size: Float64Array, away: Float64Array, out: Scan): void {
+  const { found, at } = out;
+  const [T, CS, high, PS, disk, modulus] = [COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, LN_DISK, LN_MODULUS].map((c) => found[c]);
+  const [hz, c, isHigh, count] = [f[k], c2[k], f[k] >= fromHz, x.length];
+  for (let r = 0; r < count; r++) {
+    const y2 = y[r] * y[r];
+    const l2 = x[r] * x[r] + y2;
+    const near = (1 + x[r]) * (1 + x[r]) + y2;
+    const d2 = near > TINY ? near : TINY;
+    const m2 = Math.max((1 - x[r]) * (1 - x[r]) + y2, TINY);
+    size[r] = l2;
+    away[r] = d2;
+    if (l2 > T[r] * d2) {
+      T[r] = l2 / d2;
+      if (!r) at[COMPLEMENTARY_DB] = hz;
+    }
+    if (c > CS[r] * d2) {
+      CS[r] = c / d2;
+      if (!r) at[CONTROL_DB] = hz;
+    }
+    if (isHigh && c > high[r] * d2) {
+      high[r] = c / d2;
+      if (!r) at[CONTROL_HIGH_DB] = hz;
+    }
+    if (l2 > PS[r] * c * d2) {
+      PS[r] = l2 / c / d2;
+      if (!r) at[PROCESS_DB] = hz;
+    }
+    if (d2 < disk[r] * m2) {
+      disk[r] = d2 / m2;
+      if (!r) at[LN_DISK] = hz;
+    }
+    if (near < modulus[r]) {
+      modulus[r] = near;
+      if (!r) at[LN_MODULUS] = hz;
+    }
+  }
+  if (masks) for (let r = 0; r < count; r++) overMasks(masks, k, hz, 1 / away[r], size[r] / away[r], c, size[r], r, out);
+}
+
+/** What the chords from the line before tell, with crossings on them. */
+function chords(
+  f0: number, f1: number, x0: Float64Array, y0: Float64Array, x1: Float64Array, y1: Float64Array, size: Float64Array, away: Float64Array, out: Scan,
+): void {
+  const { found, at, sensed, last, lastAway } = out;
+  const [modulus, bandwidth, ofS, ofT] = [LN_MODULUS, LN_BANDWIDTH_HZ, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ].map((c) => found[c]);
+  const count = x1.length;
+  for (let r = 0; r < count; r++) {
+    const x = 1 + x0[r];
+    const y = y0[r];
+    const stepX = x1[r] - x0[r];
+    const stepY = y1[r] - y;
+    const along = -(x * stepX + y * stepY);
+    const length = stepX * stepX + stepY * stepY;
+    if (along > 0 && along < length) {
+      const across = x * stepY - y * stepX;
+      if (across * across < modulus[r] * length) {
+        const share = along / length;
+        const nearX = x + share * stepX;
+        const nearY = y + share * stepY;
+        note(out, r, LN_MODULUS, nearX * nearX + nearY * nearY, f0 + share * (f1 - f0), false);
+      }
+    }
+    const s0 = last[r];
+    const s1 = size[r];
+    const d0 = lastAway[r];
+    const d1 = away[r];
+    if (s0 >= 1 !== s1 >= 1) {
+      unitCrossing(f0, f1, x0[r], y, x1[r], y1[r], r, out);
+      if (s0 >= 1 && bandwidth[r] === -Infinity) {
+        bandwidth[r] = between(f0, f1, s0, s1, 1);
+        if (!r) at[LN_BANDWIDTH_HZ] = Math.exp(bandwidth[r]);
+      }
+    }
+    if (y >= 0 !== y1[r] >= 0) axisCrossing(f0, f1, x0[r], y, x1[r], y1[r], r, out);
+    if (d1 <= 2 && d0 > 2 && !sensed[r]) {
+      ofS[r] = between(f0, f1, 1 / d0, 1 / d1, 0.5);
+      sensed[r] = 1;
+    }
+    if (2 * s0 >= d0 && 2 * s1 < d1) ofT[r] = between(f0, f1, s0 / d0, s1 / d1, 0.5);
+  }
 }
 
 function between(f0: number, f1: number, size0: number, size1: number, level: number): number {
@@ -99,154 +312,62 @@ function between(f0: number, f1: number, size0: number, size1: number, level: nu
   return Math.log(f0) + (Math.log(f1 / f0) * a) / (a - b);
 }
 
-/** Margins of L, given by its parts; `bounded` counts what |L| may do above the last line. */
-export function read(grid: Grid, re: Real, im: Real, bounded: boolean, out: Reading): void {
-  const last = scan(grid, re, im, out);
-  ended(grid, Math.hypot(re[0], im[0]), last, bounded, out);
+/** What lines tell together with those above them; the last of the lower ones is the first of the upper ones. */
+export function joined(lower: Scan, upper: Scan): Scan {
+  const { last, lastAway, floors, at: upperAt } = upper;
+  const [f0, f1] = lower.ends;
+  const at = lower.at.slice();
+  const found = copied(lower.found);
+  found.forEach((out, c) => {
+    const other = upper.found[c];
+    for (let r = 0; r < out.length; r++) {
+      let takes = isRising[c] ? other[r] > out[r] : other[r] < out[r];
+      if (c === LN_BANDWIDTH_HZ) takes = out[r] === -Infinity;
+      else if (c === LN_SENSITIVITY_HZ) takes = !lower.sensed[r];
+      else if (c === LN_COMPLEMENTARY_HZ) takes = other[r] > -Infinity;
+      if (!takes) continue;
+      out[r] = other[r];
+      if (!r) at[c] = upperAt[c];
+    }
+  });
+  return { found, at, sensed: lower.sensed.map((one, r) => one | upper.sensed[r]), first: lower.first, last, lastAway, floors, ends: [f0, f1, upper.ends[2]] };
 }
 
-/** What the lines alone tell, magnitudes squared; gives |L| on the last one. */
-function scan(grid: Grid, re: Real, im: Real, out: Reading): number {
-  const { f, c2, fromHz, masks } = grid;
-  const { found, at } = out;
-  const n = f.length;
-  found.fill(Infinity);
-  at.fill(NaN);
-  for (const column of RISING) found[column] = -Infinity;
-  for (const column of OVER_MASKS) found[column] = -Infinity;
-  let complementary = -Infinity, control = -Infinity, high = -Infinity, process = -Infinity;
-  let disk = Infinity, modulus = Infinity;
-  let atT = 0, atC = 0, atH = 0, atP = 0, atD = 0, chord = 0, chordShare = 0;
-  let beforeS = 0, beforeT = 0, beforeSize = 0, lastX = 0, lastY = 0;
-  let crossed = false, sensed = false;
-  for (let k = 0; k < n; k++) {
-    const x = re[k];
-    const y = im[k];
-    const size = x * x + y * y;
-    const d2 = Math.max((1 + x) * (1 + x) + y * y, TINY);
-    const s2 = 1 / d2;
-    const t2 = size / d2;
-    if (t2 > complementary) {
-      complementary = t2;
-      atT = k;
-    }
-    const cs2 = c2[k] / d2;
-    if (cs2 > control) {
-      control = cs2;
-      atC = k;
-    }
-    if (f[k] >= fromHz && cs2 > high) {
-      high = cs2;
-      atH = k;
-    }
-    const ps2 = size / c2[k] / d2;
-    if (ps2 > process) {
-      process = ps2;
-      atP = k;
-    }
-    const disk2 = d2 / Math.max((1 - x) * (1 - x) + y * y, TINY);
-    if (disk2 < disk) {
-      disk = disk2;
-      atD = k;
-    }
-    if (masks) overMasks(masks, k, f[k], s2, t2, c2[k], size, out);
-    if (k > 0) {
-      // squared distance of the chord from -1
-      const stepX = x - lastX;
-      const stepY = y - lastY;
-      const length = stepX * stepX + stepY * stepY;
-      const share = length > 0 ? Math.min(Math.max(-((1 + lastX) * stepX + lastY * stepY) / length, 0), 1) : 0;
-      const nearX = 1 + lastX + share * stepX;
-      const nearY = lastY + share * stepY;
-      const near = nearX * nearX + nearY * nearY;
-      if (near < modulus) {
-        modulus = near;
-        chord = k;
-        chordShare = share;
-      }
-      if (beforeSize >= 1 !== size >= 1) {
-        unitCrossing(f[k - 1], f[k], lastX, lastY, x, y, out);
-        if (!crossed && beforeSize >= 1) {
-          found[LN_BANDWIDTH_HZ] = between(f[k - 1], f[k], beforeSize, size, 1);
-          at[LN_BANDWIDTH_HZ] = Math.exp(found[LN_BANDWIDTH_HZ]);
-          crossed = true;
-        }
-      }
-      if (lastY >= 0 !== y >= 0) axisCrossing(f[k - 1], f[k], lastX, lastY, x, y, out);
-      if (!sensed && beforeS < 0.5 && 0.5 <= s2) {
-        found[LN_SENSITIVITY_HZ] = between(f[k - 1], f[k], beforeS, s2, 0.5);
-        sensed = true;
-      }
-      if (beforeT >= 0.5 && 0.5 > t2) found[LN_COMPLEMENTARY_HZ] = between(f[k - 1], f[k], beforeT, t2, 0.5);
-    } else if (s2 >= 0.5) sensed = true;
-    beforeS = s2;
-    beforeT = t2;
-    beforeSize = size;
-    lastX = x;
-    lastY = y;
-  }
-  place(out, COMPLEMENTARY_DB, complementary, f[atT]);
-  place(out, CONTROL_DB, control, f[atC]);
-  place(out, CONTROL_HIGH_DB, high, high > -Infinity ? f[atH] : NaN);
-  place(out, PROCESS_DB, process, f[atP]);
-  place(out, LN_DISK, disk, f[atD]);
-  if (n === 1) place(out, LN_MODULUS, (1 + lastX) ** 2 + lastY ** 2, f[0]);
-  else place(out, LN_MODULUS, modulus, f[chord - 1] + chordShare * (f[chord] - f[chord - 1]));
-  if (!sensed) found[LN_SENSITIVITY_HZ] = Math.log(f[n - 1]);
-  if (beforeT >= 0.5) found[LN_COMPLEMENTARY_HZ] = Math.log(f[n - 1]);
-  return Math.sqrt(beforeSize);
+/** Margins of one loop by column, and where they lie in Hz. */
+export interface Reading {
+  found: Float64Array;
+  at: Float64Array;
+}
+
+/** Margins of L on all lines of the grid. */
+export function read(grid: Grid, L: Complex): Reading {
+  const { found, at } = ended(grid, scan(grid, { L }, Array.from(grid.f.keys())), true);
+  return { found: Float64Array.from(found, ([value], c) => inUnits(c, value)), at };
 }
 
 /** Squared excess of each response over its masks at the k-th frequency, and of the floor over |L|. */
-function overMasks(masks: Real[], k: number, hz: number, s2: number, t2: number, c2: number, l2: number, out: Reading): void {
-  over(out, MASK_S, s2, masks[0][k], hz);
-  over(out, MASK_T, t2, masks[1][k], hz);
-  over(out, MASK_CS, c2 * s2, masks[2][k], hz);
-  over(out, MASK_PS, t2 / Math.max(c2, TINY), masks[3][k], hz);
-  over(out, MASK_L, l2, masks[4][k], hz);
-  over(out, FLOOR_L, 1 / Math.max(l2, TINY), masks[5][k], hz);
+function overMasks(masks: Real[], k: number, hz: number, s2: number, t2: number, c2: number, l2: number, r: number, out: Readings): void {
+  over(out, r, MASK_S, s2, masks[0][k], hz);
+  over(out, r, MASK_T, t2, masks[1][k], hz);
+  over(out, r, MASK_CS, c2 * s2, masks[2][k], hz);
+  over(out, r, MASK_PS, t2 / Math.max(c2, TINY), masks[3][k], hz);
+  over(out, r, MASK_L, l2, masks[4][k], hz);
+  over(out, r, FLOOR_L, 1 / Math.max(l2, TINY), masks[5][k], hz);
 }
 
-function over(out: Reading, column: number, size2: number, weight: number, hz: number): void {
-  if (weight > 0) note(out, column, size2 * weight, hz, true);
+function over(out: Readings, r: number, column: number, size2: number, weight: number, hz: number): void {
+  if (weight > 0) note(out, r, column, size2 * weight, hz, true);
 }
 
-/** Above the last line, where |L| stays below `last`: the worst that may be, or the best where not `bounded`. */
-function overMasksAbove({ over: most }: Grid, last: number, bounded: boolean, out: Reading): void {
-  const room = Math.max(1 - last, 1e-9);
-  const s2 = 1 / (bounded ? room : 1 + last) ** 2;
-  const [t2, l2, least2] = bounded ? [(last / room) ** 2, last ** 2, 0] : [0, 0, last ** 2];
-  const sizes = [s2, t2, s2, t2, l2, 1 / Math.max(least2, TINY)];
-  most.forEach(({ size, hz }, quantity) => over(out, OVER_MASKS[quantity], sizes[quantity], size, hz));
-}
-
-function place(out: Reading, column: number, value: number, where: number): void {
-  out.found[column] = value;
-  out.at[column] = where;
-}
-
-function ended(grid: Grid, first: number, lastLine: number, bounded: boolean, out: Reading): void {
-  const last = Math.max(lastLine, grid.least);
-  if (bounded) {
-    below(grid, first, out);
-    if (last >= 1) {
-      out.found[PHASE_DEG] = 0;
-      out.found[LN_DELAY_S] = -Infinity;
-    }
-    above(grid, last, out);
-  } else aboveAtBest(grid, Math.min(last, 1), out);
-  overMasksAbove(grid, bounded ? last : Math.min(last, 1), bounded, out);
-  finish(out.found);
-}
-
-function note(out: Reading, column: number, value: number, where: number, largest: boolean): void {
-  if (largest ? value > out.found[column] : value < out.found[column]) {
-    out.found[column] = value;
-    out.at[column] = where;
+function note({ found, at }: Readings, r: number, column: number, value: number, where: number, largest: boolean): void {
+  const own = found[column];
+  if (largest ? value > own[r] : value < own[r]) {
+    own[r] = value;
+    if (!r) at[column] = where;
   }
 }
 
-function unitCrossing(f0: number, f1: number, x0: number, y0: number, x1: number, y1: number, out: Reading): void {
+function unitCrossing(f0: number, f1: number, x0: number, y0: number, x1: number, y1: number, r: number, out: Readings): void {
   const a = Math.log(Math.hypot(x0, y0));
   const b = Math.log(Math.hypot(x1, y1));
   const share = a / (a - b);
@@ -255,88 +376,83 @@ function unitCrossing(f0: number, f1: number, x0: number, y0: number, x1: number
   let ahead = (phase * DEG + 180) % 360;
   if (ahead < 0) ahead += 360;
   const where = f0 * (f1 / f0) ** share;
-  note(out, PHASE_DEG, Math.min(ahead, 360 - ahead), where, false);
-  note(out, LN_DELAY_S, Math.log(Math.max(ahead, TINY) / 360 / where), where, false);
+  note(out, r, PHASE_DEG, Math.min(ahead, 360 - ahead), where, false);
+  note(out, r, LN_DELAY_S, Math.log(Math.max(ahead, TINY) / 360 / where), where, false);
 }
 
-function axisCrossing(f0: number, f1: number, x0: number, y0: number, x1: number, y1: number, out: Reading): void {
+function axisCrossing(f0: number, f1: number, x0: number, y0: number, x1: number, y1: number, r: number, out: Readings): void {
   const share = y0 / (y0 - y1);
   const value = x0 + share * (x1 - x0);
   if (value >= 0) return;
   const size = 2 * DB * Math.log(Math.max(-value, TINY));
   const where = f0 + share * (f1 - f0);
-  if (size <= 0) note(out, GAIN_DB, -size, where, false);
-  else note(out, REDUCTION_DB, size, where, false);
+  if (size <= 0) note(out, r, GAIN_DB, -size, where, false);
+  else note(out, r, REDUCTION_DB, size, where, false);
+}
+
+/** Margins of scanned lines, by column as they come (`inUnits`); `bounded` counts what |L| may do beyond them. */
+export function ended(grid: Grid, { found, at, sensed, first, last, lastAway, ends }: Scan, bounded: boolean): Readings {
+  const out = { found: copied(found), at: at.slice() };
+  for (let r = 0; r < first.length; r++) {
+    if (!sensed[r]) out.found[LN_SENSITIVITY_HZ][r] = Math.log(ends[2]);
+    if (2 * last[r] >= lastAway[r]) out.found[LN_COMPLEMENTARY_HZ][r] = Math.log(ends[2]);
+    const end = Math.max(Math.sqrt(last[r]), grid.least);
+    if (bounded) {
+      below(ends, Math.sqrt(first[r]), r, out);
+      above(grid, ends[2], end, r, out);
+    } else controlAbove(grid, 1 + Math.min(end, 1), r, out);
+    overMasksAbove(grid, bounded ? end : Math.min(end, 1), bounded, r, out);
+  }
+  return out;
 }
 
 /** Below the first line |L| stays above `first`; where that is no more than 1 nothing is known. */
-function below({ f }: Grid, first: number, out: Reading): void {
-  if (f.length < 2 || f[0] <= AT_ZERO * f[1]) return;
-  note(out, REDUCTION_DB, 2 * DB * Math.log(Math.max(first, 1)), f[0], false);
+function below([f0, f1]: number[], first: number, r: number, out: Readings): void {
+  if (!(f0 > AT_ZERO * f1)) return;
+  note(out, r, REDUCTION_DB, 2 * DB * Math.log(Math.max(first, 1)), f0, false);
   if (first >= LARGE) return;
   const room = Math.max(first - 1, 0);
-  note(out, LN_MODULUS, room ** 2, f[0], false);
-  note(out, LN_DISK, (room / (1 + first)) ** 2, f[0], false);
-  note(out, COMPLEMENTARY_DB, first ** 2 / Math.max(room, 1e-9) ** 2, f[0], true);
+  note(out, r, LN_MODULUS, room ** 2, f0, false);
+  note(out, r, LN_DISK, (room / (1 + first)) ** 2, f0, false);
+  note(out, r, COMPLEMENTARY_DB, first ** 2 / Math.max(room, 1e-9) ** 2, f0, true);
   if (room > 0) return;
-  note(out, PHASE_DEG, 0, f[0], false);
-  note(out, LN_DELAY_S, -Infinity, f[0], false);
+  note(out, r, PHASE_DEG, 0, f0, false);
+  note(out, r, LN_DELAY_S, -Infinity, f0, false);
 }
 
 /** Above the last line |L| stays below `last`: how near -1 it may come there, and how large all may be. */
-function above(grid: Grid, last: number, out: Reading): void {
-  const end = grid.f[grid.f.length - 1];
-  const room = Math.max(1 - last, 1e-9);
-  note(out, GAIN_DB, Math.max(-2 * DB * Math.log(Math.max(last, TINY)), 0), end, false);
-  note(out, LN_MODULUS, Math.max(1 - last, 0) ** 2, end, false);
-  note(out, LN_DISK, (Math.max(1 - last, 0) / (1 + last)) ** 2, end, false);
-  note(out, COMPLEMENTARY_DB, (last / room) ** 2, end, true);
-  controlAbove(grid, room, out);
-}
-
-/** |CS| above the last line where |L| stays below `last`: no less than |C|/(1 + last). */
-function aboveAtBest(grid: Grid, last: number, out: Reading): void {
-  controlAbove(grid, 1 + last, out);
-}
-
-function controlAbove({ most, mostHigh }: Grid, over: number, out: Reading): void {
-  if (most.size >= 0) note(out, CONTROL_DB, most.size / over ** 2, most.hz, true);
-  if (mostHigh.size >= 0) note(out, CONTROL_HIGH_DB, mostHigh.size / over ** 2, mostHigh.hz, true);
-}
-
-function finish(found: Float64Array): void {
-  for (const column of LARGEST) found[column] = found[column] > 0 ? DB * Math.log(found[column]) : -Infinity;
-  found[LN_MODULUS] = found[LN_MODULUS] > 0 ? 0.5 * Math.log(found[LN_MODULUS]) : -Infinity;
-  found[LN_DISK] = found[LN_DISK] > 0 ? Math.LN2 + 0.5 * Math.log(found[LN_DISK]) : -Infinity;
-}
-
-/** Readings (draws, columns), with what |L| may do above the last line and without. */
-export interface Readings {
-  bounded: Float64Array;
-  open: Float64Array;
-}
-
-/** Readings of a reference with each of the draws added. */
-export function readDraws(grid: Grid, reference: Complex, draws: Draws): Readings {
-  const n = grid.f.length;
-  const re = new Float64Array(n);
-  const im = new Float64Array(n);
-  const out = { bounded: new Float64Array(draws.count * COLUMNS), open: new Float64Array(draws.count * COLUMNS) };
-  const one = freshReading();
-  const other = freshReading();
-  for (let d = 0; d < draws.count; d++) {
-    const start = d * n;
-    for (let k = 0; k < n; k++) {
-      re[k] = reference.re[k] + draws.re[start + k];
-      im[k] = reference.im[k] + draws.im[start + k];
-    }
-    const last = scan(grid, re, im, one);
-    other.found.set(one.found);
-    const first = Math.hypot(re[0], im[0]);
-    ended(grid, first, last, true, one);
-    ended(grid, first, last, false, other);
-    out.bounded.set(one.found, d * COLUMNS);
-    out.open.set(other.found, d * COLUMNS);
+function above(grid: Grid, end: number, last: number, r: number, out: Readings): void {
+  if (last >= 1) {
+    out.found[PHASE_DEG][r] = 0;
+    out.found[LN_DELAY_S][r] = -Infinity;
   }
-  return out;
+  const room = Math.max(1 - last, 1e-9);
+  note(out, r, GAIN_DB, Math.max(-2 * DB * Math.log(Math.max(last, TINY)), 0), end, false);
+  note(out, r, LN_MODULUS, Math.max(1 - last, 0) ** 2, end, false);
+  note(out, r, LN_DISK, (Math.max(1 - last, 0) / (1 + last)) ** 2, end, false);
+  note(out, r, COMPLEMENTARY_DB, (last / room) ** 2, end, true);
+  controlAbove(grid, room, r, out);
+}
+
+/** |CS| above the last line, where it is |C| over no less than `room`; at best |L| is its last value there. */
+function controlAbove({ most, mostHigh }: Grid, room: number, r: number, out: Readings): void {
+  if (most.size >= 0) note(out, r, CONTROL_DB, most.size / room ** 2, most.hz, true);
+  if (mostHigh.size >= 0) note(out, r, CONTROL_HIGH_DB, mostHigh.size / room ** 2, mostHigh.hz, true);
+}
+
+/** Above the last line, where |L| stays below `last`: the worst that may be, or the best where not `bounded`. */
+function overMasksAbove({ over: most }: Grid, last: number, bounded: boolean, r: number, out: Readings): void {
+  if (!most.length) return;
+  const room = Math.max(1 - last, 1e-9);
+  const s2 = 1 / (bounded ? room : 1 + last) ** 2;
+  const [t2, l2, least2] = bounded ? [(last / room) ** 2, last ** 2, 0] : [0, 0, last ** 2];
+  const sizes = [s2, t2, s2, t2, l2, 1 / Math.max(least2, TINY)];
+  most.forEach(({ size, hz }, quantity) => over(out, r, OVER_MASKS[quantity], sizes[quantity], size, hz));
+}
+
+/** A number of a column from a squared magnitude, in the unit in which its error is nearest to normal. */
+export function inUnits(column: number, value: number): number {
+  if (LARGEST.includes(column)) return value > 0 ? DB * Math.log(value) : -Infinity;
+  if (column !== LN_MODULUS && column !== LN_DISK) return value;
+  return value > 0 ? (column === LN_DISK ? Math.LN2 : 0) + 0.5 * Math.log(value) : -Infinity;
 }

@@ -2,7 +2,7 @@
 
 import { clip, concat, placeIn, times, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
-import { addPole, sumsOf, type Dense, type Draws } from "../numbers/dense";
+import { addPole, Drawn, type Dense, type Draws } from "../numbers/dense";
 import { interpolated, inSight, largestAbove, type Loop, type Plant } from "./loop";
 import { aboveHz } from "./margins";
 import type { Seen } from "../payload";
@@ -103,8 +103,7 @@ export class Moved {
     const { integrators, point, plant } = loop;
     const n = grid.f.length;
     const L = times(C, { re: P.re.subarray(0, n), im: P.im.subarray(0, n) });
-    const out = kernel.freshReading();
-    kernel.read(grid, L.re, L.im, true, out);
+    const { found } = kernel.read(grid, L);
     let clear = Infinity;
     for (let k = 0; k < n; k++) {
       const share = Math.hypot(1 + L.re[k], L.im[k]) / (Math.hypot(C.re[k], C.im[k]) * lines.std[k]);
@@ -112,7 +111,7 @@ export class Moved {
     }
     const below = belowC && belowP && times(belowC, belowP);
     const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, below, plant.source.constants.fit_deg, below ? 0 : swingNear(loop));
-    const made = { values: out.found, poles, clear };
+    const made = { values: found, poles, clear };
     this.readings.set(percent, made);
     return made;
   }
@@ -130,28 +129,14 @@ export class Moved {
     const { by, P } = this.at(percent);
     const { grid, C } = this.shiftedBy(by);
     const { values } = this.reading(percent);
-    const { draws, f } = this.of.lines;
-    const { count } = draws;
-    const [n, wide] = [grid.f.length, f.length];
-    const [re, im] = [new Float64Array(n), new Float64Array(n)];
-    const out = kernel.freshReading();
-    const found = new Float64Array(count * kernel.COLUMNS);
-    for (let d = 0; d < count; d++) {
-      for (let k = 0; k < n; k++) {
-        const x = P.re[k] + draws.re[d * wide + k];
-        const y = P.im[k] + draws.im[d * wide + k];
-        re[k] = C.re[k] * x - C.im[k] * y;
-        im[k] = C.re[k] * y + C.im[k] * x;
-      }
-      kernel.read(grid, re, im, true, out);
-      found.set(out.found, d * kernel.COLUMNS);
-    }
+    const L = times(C, { re: P.re.subarray(0, C.re.length), im: P.im.subarray(0, C.re.length) });
+    const { found } = kernel.ended(grid, kernel.scan(grid, { L, reference: L, factor: C, draws: this.of.lines.draws }, Array.from(grid.f.keys())), true);
     const made = { bias: new Float64Array(kernel.COLUMNS), half_width: new Float64Array(kernel.COLUMNS) };
     for (let c = 0; c < kernel.COLUMNS; c++) {
-      const off = Float64Array.from({ length: count }, (_, d) => found[d * kernel.COLUMNS + c] - values[c]);
+      const off = found[c].subarray(2).map((value) => kernel.inUnits(c, value) - values[c]);
       const known = Number.isFinite(values[c]) && off.every(Number.isFinite);
-      const mean = known ? off.reduce((a, b) => a + b, 0) / count : 0;
-      const squares = known ? off.reduce((a, b) => a + (b - mean) ** 2, 0) / count : 0;
+      const mean = known ? off.reduce((a, b) => a + b, 0) / off.length : 0;
+      const squares = known ? off.reduce((a, b) => a + (b - mean) ** 2, 0) / off.length : 0;
       made.bias[c] = mean;
       made.half_width[c] = known ? this.of.loop.plant.source.constants.detuning.half_width * Math.sqrt(squares) : Infinity;
     }
@@ -202,16 +187,13 @@ function linesOf(loop: Loop, plant: Plant): Lines {
 
 function fewerDraws(dense: Dense, count: number): Dense {
   const draws = dense.draws as Draws;
-  const few = Math.min(count, draws.count);
-  const n = dense.f.length;
-  return { ...dense, draws: { count: few, of: draws.count, re: draws.re.subarray(0, few * n), im: draws.im.subarray(0, few * n) } };
+  return { ...dense, draws: draws.map(({ re, im }) => new Drawn(re.subarray(0, count), im.subarray(0, count))), of: draws[0].count };
 }
 
 /** Deviation of the plant at frequencies among its lines, straight between them. */
 function deviations({ point, dense }: Plant, at: Real): Real {
   const draws = dense.draws as Draws;
-  const { power } = sumsOf(draws, dense.f.length);
-  const std = point.f.map((x) => Math.sqrt(power[placeIn(dense.f, x)] / draws.count));
+  const std = point.f.map((x) => draws[placeIn(dense.f, x)].rms);
   return at.map((x) => {
     const k = clip(placeIn(point.f, x, true) - 1, 0, point.f.length - 2);
     return std[k] + ((std[k + 1] - std[k]) / (point.f[k + 1] - point.f[k])) * (x - point.f[k]);
@@ -227,29 +209,21 @@ function withExtrapolated(loop: Loop, own: Known): Known {
   const skipped = loop.integrators > 0 ? 1 : 0;
   const ahead = { re: model.P.re.subarray(skipped), im: model.P.im.subarray(skipped) };
   const below_f = Float64Array.from(loop.plant.source.constants.below_ratios.slice(skipped), (share) => loop.f[0] * share);
-  const extrapolated = below_f.length;
-  const n = own.f.length;
-  const { count } = own.draws;
   const [pr, pi] = [own.P.re[0], own.P.im[0]];
   const size = pr * pr + pi * pi;
   const share: Complex = {
     re: ahead.re.map((x, k) => (x * pr + ahead.im[k] * pi) / size),
     im: ahead.re.map((x, k) => (ahead.im[k] * pr - x * pi) / size),
   };
-  const draws: Draws = { count, re: new Float64Array(count * (n + extrapolated)), im: new Float64Array(count * (n + extrapolated)) };
-  for (let d = 0; d < count; d++) {
-    const [x, y, start] = [own.draws.re[d * n], own.draws.im[d * n], d * (n + extrapolated)];
-    for (let k = 0; k < extrapolated; k++) {
-      draws.re[start + k] = share.re[k] * x - share.im[k] * y;
-      draws.im[start + k] = share.re[k] * y + share.im[k] * x;
-    }
-    draws.re.set(own.draws.re.subarray(d * n, (d + 1) * n), start + extrapolated);
-    draws.im.set(own.draws.im.subarray(d * n, (d + 1) * n), start + extrapolated);
-  }
+  const draws = Array.from(below_f, (_, k) => {
+    const out = Drawn.fresh(own.draws[0].count);
+    out.add(own.draws[0], share.re[k], share.im[k]);
+    return out;
+  });
   return {
     f: concat(below_f, own.f),
     P: { re: concat(ahead.re, own.P.re), im: concat(ahead.im, own.P.im) },
     std: concat(share.re.map((x, k) => own.std[0] * Math.hypot(x, share.im[k])), own.std),
-    draws,
+    draws: [...draws, ...own.draws],
   };
 }

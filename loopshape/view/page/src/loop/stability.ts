@@ -4,8 +4,7 @@
 import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
-import { sumsOf, type Draws } from "../numbers/dense";
-import { belowLines, holdsBelow, inSight, isLarge, isTold, modelMoves, type Loop } from "./loop";
+import { belowLines, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
 import { angleOf, chords } from "./turns";
 
 export interface Stability {
@@ -106,17 +105,14 @@ export function swingNear({ point, controller, f, plant }: Loop): number {
 
 /** Where the error of a model of the lowest lines may carry L over -1 below them. */
 function doubtBelow(loop: Loop): Undecided | null {
-  if (!loop.draws || isLarge(loop)) return null;
+  if (!loop.dense.draws || isLarge(loop)) return null;
   const { below_ratios, radius_95 } = loop.plant.source.constants;
   const f = Float64Array.from(below_ratios.slice(1), (ratio) => loop.f[0] * ratio);
   const C = control.response(loop.controller, f);
   for (const model of loop.point.extrapolated) {
     const L = times(C, { re: model.P.re.subarray(1), im: model.P.im.subarray(1) });
-    const moved = modelMoves(loop, C, model, 1);
-    const power = new Float64Array(f.length);
-    moved.re.forEach((x, i) => (power[i % f.length] += x * x + moved.im[i] ** 2));
-    const count = moved.re.length / f.length;
-    const far = power.map((x, k) => Math.hypot(1 + L.re[k], L.im[k]) / Math.max(Math.sqrt(x / count), 1e-300));
+    const moved = loop.plant.movesBelow(model).slice(1);
+    const far = f.map((_, k) => Math.hypot(1 + L.re[k], L.im[k]) / Math.max(Math.hypot(C.re[k], C.im[k]) * moved[k].rms, 1e-300));
     const k = far.reduce((best, value, i) => (value < far[best] ? i : best), 0);
     if (far[k] < radius_95) {
       const reason = `-1 lies within the uncertainty of L at ${short(f[k])} Hz, below the first frequency, ${short(loop.f[0])} Hz`;
@@ -231,25 +227,19 @@ function onIt(loop: Loop, between: Past): Undecided | null {
   return { reason: `L passes -1 within ${short(near[k], 1)} at ${short(at)} Hz`, band_hz: null };
 }
 
-/** Deviation of L at each place, and how far neighbours' errors are the same. */
-function sizesOf(draws: Draws, n: number): { std: Real; common: Real } {
-  const { power, crossRe, crossIm } = sumsOf(draws, n);
-  const size = power.map((value) => Math.max(Math.sqrt(value), 1e-150));
-  const common = crossRe.map((value, k) => (k === 0 ? 0 : Math.hypot(value, crossIm[k]) / (size[k] * size[k - 1])));
-  return { std: power.map((value) => Math.sqrt(value / draws.count)), common };
-}
-
 function doubt(loop: Loop, between: Past, start: number[] | null): Undecided | null {
-  const { denseL: L, dense, draws } = loop;
+  const { denseL: L, denseC: C, dense } = loop;
+  const { draws } = dense;
   const { wrong, radius_95, uncertain_ratio } = loop.plant.source.constants;
   const n = dense.f.length;
   if (!draws) return { reason: "intervals are still being computed", band_hz: null };
-  const { std, common } = sizesOf(draws, n);
+  const std = magnitudes(C).map((size, k) => size * draws[k].rms);
+  const common = Float64Array.from(draws, (one, k) => (k ? one.common(draws[k - 1]) : 0));
   const chord = chords(L);
   const past = pastPlaces(loop, between);
   const radius = new Float64Array(n);
   for (let k = 0; k < n; k++) {
-    const near = Math.min(Math.hypot(1 + L.re[k], L.im[k]), chord[k - 1] ?? Infinity, chord[k] ?? Infinity);
+    const near = Math.min(Math.sqrt((1 + L.re[k]) ** 2 + L.im[k] ** 2), chord[k - 1] ?? Infinity, chord[k] ?? Infinity);
     radius[k] = past[k] || !(std[k] > 0) ? Infinity : near / std[k];
   }
   if (start && std[0] > 0) radius[0] = Math.min(radius[0], Math.hypot(start[0], start[1]) / std[0]);
@@ -291,7 +281,7 @@ function chanceOfError(radius: Real, common: Real, nearest: number): number {
 
 /** Normal distribution function of numbers at or below zero: by its series near zero, by a continued fraction beyond. */
 export function normalBelow(x: number): number {
-  if (!Number.isFinite(x)) return 0;
+  if (!(x > -9)) return 0; // below 1e-18
   const density = Math.exp(-0.5 * x * x) / Math.sqrt(TWO_PI);
   const size = -x;
   if (size < 3) {

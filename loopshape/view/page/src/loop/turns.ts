@@ -16,13 +16,13 @@ export function turnAlong(L: Complex, from: number, to: number): number {
 
 /** Distance of each chord of L from -1. */
 export function chords(L: Complex): Real {
-  return Float64Array.from({ length: Math.max(L.re.length - 1, 0) }, (_, k) => chord(L, k));
+  return Float64Array.from({ length: Math.max(L.re.length - 1, 0) }, (_, k) => chord(L, k, k + 1));
 }
 
-function chord(L: Complex, k: number): number {
+export function chord(L: Complex, k: number, next: number): number {
   const [x, y] = [1 + L.re[k], L.im[k]];
-  const [dx, dy] = [L.re[k + 1] - L.re[k], L.im[k + 1] - L.im[k]];
+  const [dx, dy] = [L.re[next] - L.re[k], L.im[next] - L.im[k]];
   const length = dx * dx + dy * dy;
   const share = length > 0 ? clip(-(x * dx + y * dy) / length, 0, 1) : 0;
-  return Math.hypot(x + share * dx, y + share * dy);
+  return Math.sqrt((x + share * dx) ** 2 + (y + share * dy) ** 2);
 }

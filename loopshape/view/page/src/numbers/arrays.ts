@@ -83,8 +83,10 @@ export function rint(value: number): number {
   return Math.abs(value % 1) === 0.5 && rounded % 2 !== 0 ? rounded - 1 : rounded;
 }
 
-export function magnitudes(z: Complex): Real {
-  return z.re.map((re, k) => Math.sqrt(re * re + z.im[k] * z.im[k]));
+export function magnitudes({ re, im }: Complex): Real {
+  const out = new Float64Array(re.length);
+  for (let k = 0; k < re.length; k++) out[k] = Math.sqrt(re[k] * re[k] + im[k] * im[k]);
+  return out;
 }
 
 function bytes(text: string): ArrayBuffer {

@@ -1,59 +1,106 @@
 // A smoothed plant with draws of its error, on its lines and on places between them (Python: data/smoothed.py).
 
-import { clip, concat, placeIn, union, zeros, type Complex, type Real } from "./arrays";
+import { clip, concat, placeIn, times, union, zeros, type Complex, type Real } from "./arrays";
 import type { Constants, Point } from "../payload";
 import { Normals, type State } from "./random";
 import { slopes, valueAt } from "./spline";
 
-/** Draws (count) of an error on n lines, one after the other. */
-export interface Draws {
-  count: number;
-  /** Of how many these are the first, where they are not all. */
-  of?: number;
-  re: Real;
-  im: Real;
-}
+/** Draws (draws,) of the error of one place, with what is summed over them. */
+export class Drawn {
+  private sums: { power: number; most: number; mean: [number, number] } | null = null;
+  private before: Drawn | null = null;
+  private cross = 0;
 
-/** Sums over draws at each place: of squares, of the parts, and of products with the neighbour before. */
-export interface Sums {
-  power: Real;
-  re: Real;
-  im: Real;
-  crossRe: Real;
-  crossIm: Real;
-}
+  constructor(
+    readonly re: Real,
+    readonly im: Real,
+  ) {}
 
-const sums = new WeakMap<Draws, Sums>();
+  static fresh(count: number): Drawn {
+    return new Drawn(new Float64Array(count), new Float64Array(count));
+  }
 
-export function sumsOf(draws: Draws, n: number): Sums {
-  const known = sums.get(draws);
-  if (known) return known;
-  const fresh = (): Real => new Float64Array(n);
-  const out = { power: fresh(), re: fresh(), im: fresh(), crossRe: fresh(), crossIm: fresh() };
-  for (let d = 0, i = 0; d < draws.count; d++) {
-    let lastRe = 0;
-    let lastIm = 0;
-    for (let k = 0; k < n; k++, i++) {
-      const x = draws.re[i];
-      const y = draws.im[i];
-      out.power[k] += x * x + y * y;
-      out.re[k] += x;
-      out.im[k] += y;
-      out.crossRe[k] += x * lastRe + y * lastIm;
-      out.crossIm[k] += y * lastRe - x * lastIm;
-      lastRe = x;
-      lastIm = y;
+  get count(): number {
+    return this.re.length;
+  }
+
+  private get summed(): { power: number; most: number; mean: [number, number] } {
+    if (this.sums) return this.sums;
+    let [power, most, x, y] = [0, 0, 0, 0];
+    for (let d = 0; d < this.count; d++) {
+      const size = this.re[d] * this.re[d] + this.im[d] * this.im[d];
+      power += size;
+      most = size > most ? size : most;
+      x += this.re[d];
+      y += this.im[d];
+    }
+    this.sums = { power, most: Math.sqrt(most), mean: [x / this.count, y / this.count] };
+    return this.sums;
+  }
+
+  /** Sum of squares. */
+  get power(): number {
+    return this.summed.power;
+  }
+
+  /** The largest. */
+  get most(): number {
+    return this.summed.most;
+  }
+
+  /** Root mean square. */
+  get rms(): number {
+    return Math.sqrt(this.power / this.count);
+  }
+
+  /** Deviation from the mean. */
+  get std(): number {
+    const { power, mean } = this.summed;
+    return Math.sqrt(Math.max(power / this.count - mean[0] ** 2 - mean[1] ** 2, 0));
+  }
+
+  /** How far the errors of a neighbour are the same. */
+  common(before: Drawn): number {
+    if (this.before !== before) {
+      let [x, y] = [0, 0];
+      for (let d = 0; d < this.count; d++) {
+        x += this.re[d] * before.re[d] + this.im[d] * before.im[d];
+        y += this.im[d] * before.re[d] - this.re[d] * before.im[d];
+      }
+      [this.before, this.cross] = [before, Math.hypot(x, y)];
+    }
+    return this.cross / (Math.max(Math.sqrt(this.power), 1e-150) * Math.max(Math.sqrt(before.power), 1e-150));
+  }
+
+  plus(other: Drawn, sign = 1): Drawn {
+    return new Drawn(this.re.map((x, d) => x + sign * other.re[d]), this.im.map((x, d) => x + sign * other.im[d]));
+  }
+
+  /** Adds another's draws times a number. */
+  add({ re, im }: Drawn, x: number, y = 0): void {
+    const [ownRe, ownIm] = [this.re, this.im];
+    for (let d = 0; d < re.length; d++) {
+      ownRe[d] += x * re[d];
+      ownIm[d] += x * im[d];
+    }
+    if (y === 0) return;
+    for (let d = 0; d < re.length; d++) {
+      ownRe[d] -= y * im[d];
+      ownIm[d] += y * re[d];
     }
   }
-  sums.set(draws, out);
-  return out;
 }
+
+/** Draws at each place. */
+export type Draws = Drawn[];
 
 export interface Dense {
   f: Real;
   P: Complex;
   reference: Complex;
   draws: Draws | null;
+  /** Of how many draws these are the first, where they are not all. */
+  of?: number;
 }
 
 /** What is common to all plants: the first normal numbers of a generator, as many as were asked for so far. */
@@ -79,26 +126,25 @@ export class Source {
     this.sideNormals = new Normals(between).take(2 * constants.draws);
   }
 
-  /** Errors of lines (draws, n): circular, of a variance, neighbours correlated by taps. */
+  /** Errors of lines: circular, of a variance, neighbours correlated by taps. */
   errors(variance: Real, taps: number[]): Draws {
-    const [n, count] = [variance.length, this.constants.draws];
-    const wide = n + taps.length - 1;
+    const { draws: count } = this.constants;
+    const wide = variance.length + taps.length - 1;
     const white = this.stream.first(2 * count * wide);
     const power = taps.reduce((sum, tap) => sum + tap * tap, 0);
-    const scale = variance.map((v) => Math.sqrt((0.5 * v) / power));
-    const out = { count, re: new Float64Array(count * n), im: new Float64Array(count * n) };
-    for (let d = 0; d < count; d++) {
-      for (let k = 0; k < n; k++) {
+    return Array.from(variance, (v, k) => {
+      const out = Drawn.fresh(count);
+      const scale = Math.sqrt((0.5 * v) / power);
+      for (let d = 0; d < count; d++) {
         let [re, im] = [0, 0];
         for (let t = 0; t < taps.length; t++) {
           re += taps[t] * white[d * wide + k + t];
           im += taps[t] * white[(count + d) * wide + k + t];
         }
-        out.re[d * n + k] = re * scale[k];
-        out.im[d * n + k] = im * scale[k];
+        [out.re[d], out.im[d]] = [re * scale, im * scale];
       }
-    }
-    return out;
+      return out;
+    });
   }
 
   /** One complex number a draw, by which a spline may lie off straight lines. */
@@ -126,16 +172,11 @@ export function knownPlant(point: Point, source: Source, drawn: boolean): Dense 
   const poles = termResponse(point, f);
   const rest = minus(point.P, poles);
   const smooth: Dense = { f, P: rest, reference: lines ? minus(lines.reference, poles) : rest, draws: lines && lines.strayed };
-  const dense = densified(smooth, at, source, newDraws);
+  const dense = densified(smooth, at, source);
   const more = termResponse(point, at);
-  if (dense.draws && lines) {
-    const moved = termMoves(point, at, lines.errors);
-    for (let k = 0; k < moved.re.length; k++) {
-      dense.draws.re[k] += moved.re[k];
-      dense.draws.im[k] += moved.im[k];
-    }
-  }
-  return { f: at, P: plus(dense.P, more), reference: plus(dense.reference, more), draws: dense.draws };
+  const moved = lines && termMoves(point, at, lines.errors);
+  const draws = moved && (dense.draws as Draws).map((one, k) => one.plus(moved[k]));
+  return { f: at, P: plus(dense.P, more), reference: plus(dense.reference, more), draws };
 }
 
 function plus(a: Complex, b: Complex): Complex {
@@ -146,39 +187,31 @@ function minus(a: Complex, b: Complex): Complex {
   return { re: a.re.map((x, k) => x - b.re[k]), im: a.im.map((x, k) => x - b.im[k]) };
 }
 
-interface Drawn {
+interface DrawnLines {
   reference: Complex;
   errors: Draws;
   strayed: Draws;
   moved: Draws;
 }
 
-function drawnLines(point: Point, source: Source): Drawn {
-  const n = point.f.length;
+function drawnLines(point: Point, source: Source): DrawnLines {
   if (point.variance.every((v) => v === 0)) {
-    const none = { count: 1, re: new Float64Array(n), im: new Float64Array(n) };
+    const none = Array.from(point.f, () => Drawn.fresh(1));
     return { reference: point.P, errors: none, strayed: none, moved: none };
   }
   const errors = source.errors(point.variance, point.taps);
   const poles = termMoves(point, point.f, errors);
-  const rest = {
-    count: errors.count,
-    re: errors.re.map((x, k) => x - poles.re[k]),
-    im: errors.im.map((x, k) => x - poles.im[k]),
-  };
-  const strayed = smoothedDraws(point, rest, source.constants.degree);
-  const moved = {
-    count: errors.count,
-    re: strayed.re.map((x, k) => x + poles.re[k]),
-    im: strayed.im.map((x, k) => x + poles.im[k]),
-  };
+  const strayed = smoothedDraws(point, errors.map((one, k) => one.plus(poles[k], -1)), source.constants.degree);
+  const moved = strayed.map((one, k) => one.plus(poles[k]));
   return { reference: referenceOf(point, source.constants.degree), errors, strayed, moved };
 }
 
 /** What the smoothing makes of its own answer: what draws are added to. */
 function referenceOf(point: Point, degree: number): Complex {
   const poles = termResponse(point, point.f);
-  return plus(smoothedDraws(point, { count: 1, ...minus(point.P, poles) }, degree), poles);
+  const rest = minus(point.P, poles);
+  const smooth = smoothedDraws(point, Array.from(point.f, (_, k) => new Drawn(rest.re.subarray(k, k + 1), rest.im.subarray(k, k + 1))), degree);
+  return plus({ re: Float64Array.from(smooth, ({ re }) => re[0]), im: Float64Array.from(smooth, ({ im }) => im[0]) }, poles);
 }
 
 /** What narrow resonances add at f: r/(j (f - z)) and its mirror is in P already, as Python's `Resonance.response`. */
@@ -208,29 +241,22 @@ export function narrowAt(point: Point, f: number): [number, number] {
 }
 
 function termMoves(point: Point, f: Real, errors: Draws): Draws {
-  const [n, lines] = [f.length, point.f.length];
-  const out = { count: errors.count, re: new Float64Array(errors.count * n), im: new Float64Array(errors.count * n) };
+  const { count } = errors[0];
+  const out = Array.from(f, () => Drawn.fresh(count));
   for (const { residue, pole, first, influence } of point.terms) {
     const width = influence.re.length / 2;
-    const across = Array.from(f, (x) => inverse(x - pole[0], -pole[1]));
-    for (let d = 0; d < errors.count; d++) {
-      const moved = [0, 1].map((row) => {
-        let [re, im] = [0, 0];
-        for (let k = 0; k < width; k++) {
-          const [er, ei] = [errors.re[d * lines + first + k], errors.im[d * lines + first + k]];
-          const [wr, wi] = [influence.re[row * width + k], influence.im[row * width + k]];
-          re += er * wr - ei * wi;
-          im += er * wi + ei * wr;
-        }
-        return [re, im];
-      });
-      const byPole = product(moved[1], residue);
-      for (let k = 0; k < n; k++) {
-        const whole = sum(product(moved[0], across[k]), product(byPole, product(across[k], across[k])));
-        out.re[d * n + k] += whole[1];
-        out.im[d * n + k] -= whole[0];
-      }
-    }
+    const [byResidue, byPole] = [0, 1].map((row) => {
+      const moved = Drawn.fresh(count);
+      for (let k = row * width; k < (row + 1) * width; k++) moved.add(errors[first + (k % width)], influence.re[k], influence.im[k]);
+      return moved;
+    });
+    out.forEach((one, k) => {
+      // r/(j (f - z)): what the residue adds, and the pole
+      const across = inverse(f[k] - pole[0], -pole[1]);
+      const turned = product(product(across, across), residue);
+      one.add(byResidue, across[1], -across[0]);
+      one.add(byPole, turned[1], -turned[0]);
+    });
   }
   return out;
 }
@@ -245,25 +271,15 @@ function inverse(re: number, im: number): Pair {
 }
 
 function smoothedDraws(point: Point, errors: Draws, degree: number): Draws {
-  const n = point.f.length;
-  const out = { count: errors.count, re: new Float64Array(errors.re.length), im: new Float64Array(errors.re.length) };
   const x = point.f.map(Math.log);
   const size = point.raw.re.map((re, k) => re * re + point.raw.im[k] ** 2);
   const floor = point.variance.map((v, k) => Math.max(v, 1e-20 * size[k] + 1e-300));
-  for (let k = 0; k < n; k++) {
+  return errors.map(({ count }, k) => {
     const { first, weights } = smoothingWeights(x, floor, k, point.halves[k], degree);
-    for (let d = 0; d < errors.count; d++) {
-      let [re, im] = [0, 0];
-      const start = d * n + first;
-      for (let i = 0; i < weights.length; i++) {
-        re += weights[i] * errors.re[start + i];
-        im += weights[i] * errors.im[start + i];
-      }
-      out.re[d * n + k] = re;
-      out.im[d * n + k] = im;
-    }
-  }
-  return out;
+    const out = Drawn.fresh(count);
+    weights.forEach((weight, i) => out.add(errors[first + i], weight));
+    return out;
+  });
 }
 
 /** First line and weights by which a window's lines make the response at line k (kernels/smoothing.py). */
@@ -339,8 +355,8 @@ function curveOf(dense: Dense, constants: Constants): Curve {
   if (found) return found;
   const power = lowestPower(dense.f, dense.P, constants);
   const own = powers(dense.f, dense.f[0], [-power[0], -power[1]]);
-  const P = productOf(dense.P, own);
-  const reference = productOf(dense.reference, own);
+  const P = times(dense.P, own);
+  const reference = times(dense.reference, own);
   const made = { own, power, P, reference, slopeP: slopes(dense.f, P), slopeReference: slopes(dense.f, reference) };
   curves.set(dense.reference.re, made);
   return made;
@@ -356,15 +372,6 @@ function powerAt(ratio: number, power: Pair): Pair {
   const ln = Math.log(ratio);
   const size = Math.exp(power[0] * ln);
   return [size * Math.cos(power[1] * ln), size * Math.sin(power[1] * ln)];
-}
-
-function productOf(a: Complex, b: Complex): Complex {
-  const out = zeros(a.re.length);
-  for (let k = 0; k < a.re.length; k++) {
-    out.re[k] = a.re[k] * b.re[k] - a.im[k] * b.im[k];
-    out.im[k] = a.re[k] * b.im[k] + a.im[k] * b.re[k];
-  }
-  return out;
 }
 
 /** Straight value and how far the spline lies off it, at a place of the k-th gap. */
@@ -384,40 +391,33 @@ function curved(f: Real, values: Complex, slope: Complex, k: number, at: number,
 }
 
 /** The same at other frequencies within these: by splines, draws straight from line to line (`Dense.at`). */
-export function densified(dense: Dense, at: Real, source: Source, make: MakeDraws = passingDraws): Dense {
+export function densified(dense: Dense, at: Real, source: Source): Dense {
   const { f, draws } = dense;
   const [n, m] = [f.length, at.length];
+  const sides = draws && source.sides(dense.of ?? draws[0].count);
   const curve = curveOf(dense, source.constants);
-  const out: Dense = { f: at, P: zeros(m), reference: zeros(m), draws: null };
-  const gap = new Int32Array(m);
-  const between = new Uint8Array(m);
-  const [low, high, off] = [zeros(m), zeros(m), zeros(m)];
+  const out: Dense = { f: at, P: zeros(m), reference: zeros(m), draws: draws && new Array<Drawn>(m), of: dense.of };
   for (let j = 0; j < m; j++) {
     const line = placeIn(f, at[j], true) - 1;
     if (line >= 0 && f[line] === at[j]) {
-      gap[j] = line;
+      if (draws) (out.draws as Draws)[j] = draws[line];
       put(out.P, j, [dense.P.re[line], dense.P.im[line]]);
       put(out.reference, j, [dense.reference.re[line], dense.reference.im[line]]);
       continue;
     }
     const k = clip(line, 0, n - 2);
-    between[j] = 1;
     const share = (at[j] - f[k]) / (f[k + 1] - f[k]);
     const b = powerAt(at[j] / f[0], curve.power);
     const [straight, bent] = curved(f, curve.P, curve.slopeP, k, at[j], share);
     const again = curved(f, curve.reference, curve.slopeReference, k, at[j], share);
     put(out.P, j, product(b, sum(straight, bent)));
     put(out.reference, j, product(b, sum(again[0], again[1])));
-    gap[j] = k;
-    const own = product(b, [curve.own.re[k], curve.own.im[k]]);
-    put(low, j, [own[0] * (1 - share), own[1] * (1 - share)]);
-    const next = product(b, [curve.own.re[k + 1], curve.own.im[k + 1]]);
-    put(high, j, [next[0] * share, next[1] * share]);
-    const size = Math.sqrt(0.5) * source.constants.between;
-    const bentBack = product(b, bent);
-    put(off, j, [size * bentBack[0], size * bentBack[1]]);
+    if (!draws || !sides) continue;
+    const [here, next] = [product(b, [curve.own.re[k], curve.own.im[k]]), product(b, [curve.own.re[k + 1], curve.own.im[k + 1]])];
+    const [size, bentBack] = [Math.sqrt(0.5) * source.constants.between, product(b, bent)];
+    const weights = [...here.map((x) => x * (1 - share)), ...next.map((x) => x * share), ...bentBack.map((x) => x * size)];
+    (out.draws as Draws)[j] = between(draws[k], draws[k + 1], sides, weights);
   }
-  if (draws) out.draws = densifiedDraws(draws, n, { gap, between, low, high, off }, source.sides(draws.of ?? draws.count), make);
   return out;
 }
 
@@ -426,53 +426,13 @@ function put(z: Complex, k: number, value: Pair): void {
   z.im[k] = value[1];
 }
 
-/** How draws at places follow from those on lines: by two of them and a part that is common to all places. */
-interface Weights {
-  gap: Int32Array;
-  between: Uint8Array;
-  low: Complex;
-  high: Complex;
-  off: Complex;
-}
-
-type MakeDraws = (count: number, n: number) => Draws;
-
-const newDraws: MakeDraws = (count, n) => ({ count, re: new Float64Array(count * n), im: new Float64Array(count * n) });
-
-const kept = [newDraws(0, 0), newDraws(0, 0)];
-let turn = 0;
-
-/** Draws in memory that is used again: they are good until two more were made so. */
-export const passingDraws: MakeDraws = (count, n) => {
-  turn = 1 - turn;
-  if (kept[turn].re.length < count * n) kept[turn] = newDraws(count, Math.ceil(1.3 * n));
-  return { count, re: kept[turn].re.subarray(0, count * n), im: kept[turn].im.subarray(0, count * n) };
-};
-
-function densifiedDraws(
-  draws: Draws, n: number, { gap, between, low, high, off }: Weights, sides: Complex, make: MakeDraws,
-): Draws {
-  const m = gap.length;
-  const out = make(draws.count, m);
-  for (let d = 0; d < draws.count; d++) {
-    const sr = sides.re[d];
-    const si = sides.im[d];
-    for (let j = 0; j < m; j++) {
-      const k = d * n + gap[j];
-      if (!between[j]) {
-        out.re[d * m + j] = draws.re[k];
-        out.im[d * m + j] = draws.im[k];
-        continue;
-      }
-      const ar = draws.re[k];
-      const ai = draws.im[k];
-      const br = draws.re[k + 1];
-      const bi = draws.im[k + 1];
-      out.re[d * m + j] =
-        ar * low.re[j] - ai * low.im[j] + br * high.re[j] - bi * high.im[j] + sr * off.re[j] - si * off.im[j];
-      out.im[d * m + j] =
-        ar * low.im[j] + ai * low.re[j] + br * high.im[j] + bi * high.re[j] + sr * off.im[j] + si * off.re[j];
-    }
+/** Draws at a place: by those on the lines beside it and a part that is common to all places. */
+function between(low: Drawn, high: Drawn, sides: Complex, [lr, li, hr, hi, sr, si]: number[]): Drawn {
+  const out = Drawn.fresh(low.count);
+  for (let d = 0; d < low.count; d++) {
+    const [ar, ai, br, bi, cr, ci] = [low.re[d], low.im[d], high.re[d], high.im[d], sides.re[d], sides.im[d]];
+    out.re[d] = ar * lr - ai * li + br * hr - bi * hi + cr * sr - ci * si;
+    out.im[d] = ar * li + ai * lr + br * hi + bi * hr + cr * si + ci * sr;
   }
   return out;
 }
