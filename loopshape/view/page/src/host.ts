@@ -54,7 +54,7 @@ export class OwnDocument implements Host {
   }
 
   titled(words: string): void {
-    document.title = words;
+    if (document.title !== words) document.title = words;
   }
 }
 

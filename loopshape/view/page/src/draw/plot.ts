@@ -32,6 +32,8 @@ export interface Style {
 
 export type Curve = { x: ArrayLike<number>; y: ArrayLike<number> };
 
+/** Places of a curve so near to the last one, in pixels, are not drawn. */
+const FINE = 0.7;
 const FONT = "12px system-ui, sans-serif";
 const LEFT = 54;
 const RIGHT = 10;
@@ -254,16 +256,21 @@ export class Plot {
     ctx.lineWidth = width;
     ctx.setLineDash(dash);
     ctx.beginPath();
-    let down = false;
+    const { log, low } = this.x;
+    const [left, wide] = [this.px(low), (this.width - LEFT - RIGHT) / (log ? Math.log(this.x.high / low) : this.x.high - low)];
+    const [bottom, tall] = [this.py(0), this.py(1) - this.py(0)]; // no y is logarithmic
+    let [down, a0, b0] = [false, 0, 0];
     for (let k = 0; k < x.length; k++) {
-      const [a, b] = [this.px(x[k]), this.py(y[k])];
-      if (!Number.isFinite(a) || !Number.isFinite(b)) {
+      const a = left + wide * (log ? Math.log(x[k] / low) : x[k] - low);
+      const b = bottom + tall * y[k];
+      if (!(Math.abs(a) < Infinity && Math.abs(b) < Infinity)) {
         down = false;
         continue;
       }
+      if (down && k + 1 < x.length && Math.abs(a - a0) < FINE && Math.abs(b - b0) < FINE) continue;
       if (down) ctx.lineTo(a, clamp(b));
       else ctx.moveTo(a, clamp(b));
-      down = true;
+      [down, a0, b0] = [true, a, b];
     }
     ctx.stroke();
     ctx.setLineDash([]);

@@ -4,6 +4,7 @@ import { fromDb, placeIn, TWO_PI, type Complex, type Real } from "../numbers/arr
 import { closestDb, limitOf, marginCross, type RequiredLimits } from "./guides";
 import { wrappedDown } from "./phase";
 import type { Axis, Curve, Plot, Style } from "./plot";
+import { squares } from "../loop/reading";
 import type { Step } from "../numbers/step";
 
 /** What there is to draw of one operating point. */
@@ -34,8 +35,18 @@ export function responseOf({ P, C, L }: Trace, name: Response): Complex {
   return out;
 }
 
-export const sizeDb = (z: Complex): Real => z.re.map((re, k) => 10 * Math.log10(re * re + z.im[k] * z.im[k]));
-export const phaseDeg = (z: Complex): Real => wrappedDown(z);
+/** Remembers what is made of a response: magnitude and phase are drawn on several plots. */
+function remembered(make: (z: Complex) => Real): (z: Complex) => Real {
+  const known = new WeakMap<Complex, Real>();
+  return (z) => {
+    const made = known.get(z) ?? make(z);
+    known.set(z, made);
+    return made;
+  };
+}
+
+export const sizeDb = remembered((z) => squares(z).map((square) => 10 * Math.log10(square)));
+export const phaseDeg = remembered(wrappedDown);
 
 const range = (curves: Real[], step: number, least: number, low: number, high: number): [number, number] => {
   let [down, up] = [Infinity, -Infinity];
@@ -86,16 +97,9 @@ export function stepAxes(steps: (Step | null)[], front: Step | null): [Axis, Axi
   return [x, { low: Math.max(low, -2) - room, high: Math.min(high, 4) + room, log: false, label: "step of the fit" }];
 }
 
-const inNichols = (re: number, im: number): [number, number] => {
-  const phase = (Math.atan2(im, re) * 180) / Math.PI;
-  return [phase > 0 ? phase - 360 : phase, 10 * Math.log10(re * re + im * im)];
-};
-
 /** L in Nichols coordinates, line by line: phase in (-360, 0] and dB. */
-export function nicholsPlaces({ re, im }: Complex): Curve {
-  const [x, y] = [new Float64Array(re.length), new Float64Array(re.length)];
-  for (let k = 0; k < re.length; k++) [x[k], y[k]] = inNichols(re[k], im[k]);
-  return { x, y };
+export function nicholsPlaces(L: Complex): Curve {
+  return { x: phaseDeg(L).map((phase) => phase - 360 * Math.ceil(phase / 360)), y: sizeDb(L) };
 }
 
 /** L as a curve in Nichols coordinates, with a break where the phase wraps. */
@@ -188,7 +192,7 @@ export function styleOf(plot: Plot, index: number, worst: number, chosen: number
   const { point, worst: hot, chosen: cold } = plot.colours;
   if (index === chosen) return { colour: cold, width: 2.6 };
   if (index === worst) return { colour: hot, width: 2.4 };
-  return { colour: point, width: 1.1, alpha: alone ? 1 : 0.6 };
+  return { colour: point, width: 1, alpha: alone ? 1 : 0.65 };
 }
 
 /** The line of rising frequencies that is nearest to a frequency. */
