@@ -91,3 +91,22 @@ export function numberField(
   });
   return field;
 }
+
+/** A slider over a logarithmic scale: `moved` while it is dragged, `ended` when it is let go or a key moved it. */
+export function slider(id: string, label: string, low: number, high: number, moved: (value: number) => void, ended: (value: number) => void): { element: HTMLElement; show: (value: number) => void } {
+  const words = el("output", { for: id });
+  const value = (): number => Number(Math.exp(Number(field.value)).toPrecision(3));
+  const say = (text: string): void => {
+    words.textContent = text;
+    field.setAttribute("aria-valuetext", `${text} Hz`);
+  };
+  const field = el("input", {
+    type: "range", id, min: Math.log(low), max: Math.log(high), step: (Math.log(high / low)) / 400,
+    input: () => (say(shown(value())), moved(value())), change: () => ended(value()),
+  });
+  const show = (now: number): void => {
+    if (now > 0) field.value = String(Math.log(now));
+    say(now > 0 ? shown(now) : "–");
+  };
+  return { element: el("p", { class: "row" }, el("label", { for: id }, label), field, words), show };
+}

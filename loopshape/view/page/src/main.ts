@@ -6,12 +6,13 @@ import { refusal, responseOn, type Controller } from "./numbers/controller";
 import {
   addressOf, controllerOf, controllerText, designOf, History, requirementsText, withFile, type Design,
 } from "./design";
-import { button, download, el, focusedIn, shown } from "./dom";
+import { button, download, el, focusedIn, shown, slider } from "./dom";
 import { Cell, OwnDocument, type Guest, type Host, type Model } from "./host";
 import { quantityOf, requirementsAt } from "./loop/limits";
 import { unitCrossings } from "./loop/margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
+import { scaledTo } from "./tune";
 import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
 import { Engine, type Verdict } from "./loop/verdict";
@@ -38,6 +39,9 @@ class Page implements Guest {
   private worst = 0;
   private table!: RequirementTable;
   private blocks!: BlockList;
+  private bandwidth!: ReturnType<typeof slider>;
+  /** From which design the bandwidth is moved, where it was, and what was made of it. */
+  private begun: { design: Design; hz: number; now: Design } | null = null;
   private screen!: Screen;
   private readonly pool: Pool;
   private readonly message = el("p", { id: "message", role: "status", "aria-live": "polite" });
@@ -112,6 +116,8 @@ class Page implements Guest {
       (point, hz) => this.screen.look(point, hz),
     );
     this.blocks = new BlockList(() => this.design, (blocks, goesOn, words) => this.change({ blocks }, goesOn, words), (delay_s, goesOn) => this.delay(delay_s, goesOn), () => this.crossover());
+    const [low, high] = [Math.min(...this.loop.points.map(({ f }) => f[0])), Math.min(0.2 * this.loop.rate_hz, ...this.loop.points.map(({ f }) => f[f.length - 1]))];
+    this.bandwidth = slider("bandwidth", "Bandwidth [Hz]", low, high, (hz) => this.scale(hz), (hz) => void this.tuneTo(hz));
     this.screen = new Screen(names, {
       design: () => this.design,
       controller: () => this.controller,
@@ -133,7 +139,7 @@ class Page implements Guest {
       el("main", {},
         el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate, this.notes()),
         el("section", { id: "plots", "aria-label": "Plots" }, this.screen.element),
-        el("section", { id: "controller", "aria-label": "Controller" }, el("h2", {}, "Controller"), this.blocks.element),
+        el("section", { id: "controller", "aria-label": "Controller" }, el("h2", {}, "Controller"), this.bandwidth.element, this.blocks.element),
       ),
       el("footer", {}, el("p", { class: "quiet" }, KEYS)),
       this.table.strip,
@@ -235,6 +241,35 @@ class Page implements Guest {
     let next = 0;
     const blocks = before.blocks.map((block) => (block.off ? block : { ...block, ...found.blocks[next++] }));
     this.set({ ...before, blocks }, false);
+  }
+
+  /** Where the bandwidth is moved from: the design, and the lowest of all operating points in Hz, by estimates. */
+  private get origin(): { design: Design; hz: number; now: Design } {
+    const { design, controller } = this;
+    if (this.begun?.now === design) return this.begun;
+    const found = this.engines[this.current].estimates(controller, design.requirements);
+    return { design, hz: Math.min(...found.map(({ values }) => values.bandwidth_hz || 0)), now: design };
+  }
+
+  /** The design moved to a bandwidth in Hz, before anything is searched. */
+  private scale(hz: number): void {
+    this.begun = this.origin;
+    this.change({ blocks: scaledTo(this.begun.design, this.loop, this.begun.hz, hz).blocks }, true, `Scaled to ${shown(hz)} Hz: let go to tune`);
+    this.begun.now = this.design;
+  }
+
+  /** Tunes what is not locked for a bandwidth in Hz: judged here, as by check; whether all that is required is left. */
+  async tuneTo(hz: number): Promise<boolean> {
+    const { design, hz: from_hz } = this.origin;
+    const [before, loop] = [this.design, this.current];
+    this.begun = null;
+    this.say(`Tuning for ${shown(hz)} Hz …`);
+    const { blocks, met } = await this.pool.tune({ loop, design, from_hz, hz });
+    if (this.design !== before || this.current !== loop) return met;
+    const missed = "and all that is required were not reached together with what is free: the nearest is shown; add a lead or a notch, unlock numbers, or ask for less";
+    this.change({ blocks }, true, `${shown(hz)} Hz ${met ? "and all that is required are reached, with intervals and stability" : missed}`);
+    this.histories[this.current].close();
+    return met;
   }
 
   private listen(): void {
@@ -485,6 +520,7 @@ class Page implements Guest {
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
     this.tabulate();
     this.blocks.show(this.controller);
+    if (!this.begun) this.bandwidth.show(this.crossover());
     this.closed.textContent = this.closedWords();
     this.closed.hidden = !this.loop.closed.length;
     this.closed.classList.toggle("moved", this.movedOthers().length > 0);

@@ -1,10 +1,12 @@
 // Intervals and stability, then detuning margins, beside the page: some workers, each with its share of the operating
-// points.
+// points; and tunings.
 
+import type { Design } from "./design";
 import type { Controller } from "./numbers/controller";
 import type { Margins } from "./loop/margins";
 import { payloadOf, type Payload, type Raw, type Requirements } from "./payload";
 import { Engine } from "./loop/verdict";
+import { tuned, type Tuned } from "./tune";
 
 /** What is asked about. */
 export interface Asked {
@@ -15,6 +17,14 @@ export interface Asked {
 
 interface Task extends Asked {
   id: number;
+}
+
+/** A design to be tuned for a bandwidth, from where it stands. */
+export interface Tuning {
+  loop: number;
+  design: Design;
+  from_hz: number;
+  hz: number;
 }
 
 interface Start {
@@ -33,6 +43,13 @@ interface Answer {
   stage: Stage;
   points: [number, Margins][];
 }
+
+interface Done {
+  tuned: Tuned;
+}
+
+/** Milliseconds that a tuning may take: for one operating point, and for each one more. */
+const [TUNING, MORE] = [2000, 100];
 
 /** Margins at all operating points. */
 export interface Worked extends Asked {
@@ -90,10 +107,15 @@ export function workHere(scope: DedicatedWorkerGlobalScope): void {
   const inPieces = (task: Task, steps: Generator<void>): void => {
     if (!next && current === task && !steps.next().done) setTimeout(() => inPieces(task, steps), 0);
   };
-  scope.onmessage = ({ data }: MessageEvent<Start | Task>) => {
+  scope.onmessage = ({ data }: MessageEvent<Start | Task | Tuning>) => {
     if ("raw" in data) {
       start = data;
       payload = payloadOf(data.raw);
+      return;
+    }
+    if ("design" in data) {
+      const engine = engineOf(data.loop, payload as Payload);
+      scope.postMessage({ tuned: tuned(engine, data.design, data.from_hz, data.hz, TUNING + MORE * (engine.size - 1)) } satisfies Done);
       return;
     }
     if (!next) setTimeout(work, 0);
@@ -119,6 +141,7 @@ export class Pool {
   private waiting: Task | null = null;
   private busy = false;
   private last = 0;
+  private readonly tunings: ((found: Tuned) => void)[] = [];
 
   constructor(raw: Raw, script: string, private readonly done: (worked: Worked) => void) {
     const most = Math.max(...raw.loops.map((loop) => loop.points.length));
@@ -126,7 +149,7 @@ export class Pool {
     const address = URL.createObjectURL(new Blob([script], { type: "text/javascript" }));
     this.workers = Array.from({ length: count }, (_, share) => {
       const worker = new Worker(address);
-      worker.onmessage = ({ data }: MessageEvent<Answer>) => this.answered(data);
+      worker.onmessage = ({ data }: MessageEvent<Answer | Done>) => ("tuned" in data ? this.tunings.shift()?.(data.tuned) : this.answered(data));
       worker.postMessage({ raw, share, of: count } satisfies Start);
       return worker;
     });
@@ -137,6 +160,12 @@ export class Pool {
     this.last += 1;
     this.waiting = { id: this.last, ...asked };
     if (!this.busy) this.send();
+  }
+
+  /** A design tuned for a bandwidth, in the first worker. */
+  tune(asked: Tuning): Promise<Tuned> {
+    this.workers[0].postMessage(asked);
+    return new Promise((done) => this.tunings.push(done));
   }
 
   end(): void {

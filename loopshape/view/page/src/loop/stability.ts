@@ -75,6 +75,9 @@ function unstableCount(loop: Loop, unstable: number): number | Undecided {
   return found ?? poles ?? misfit(loop);
 }
 
+/** Closed-loop poles in the right half plane by the bare count, null where it is not known. */
+export const polesOf = (loop: Loop): number | null => counted(loop, loop.point.unstable_poles ?? 0, pastResonances(loop), waysBelow(loop));
+
 /** The count along the lines, null where its ways below them differ or do not fit the integrators. */
 function counted(loop: Loop, unstable: number, between: Past, below: Complex[]): number | null {
   const near = below.length ? 0 : swingNear(loop);

@@ -115,36 +115,52 @@ export class Engine {
 
   /** Estimates at every operating point, without bias, intervals and stability: what a drag shows at once. */
   estimates(controller: Controller, requirements: Requirements): Margins[] {
-    const asked = this.asked(requirements);
-    return this.quick.map((plant, k) => margins(new Loop(plant, controller), readerOf(asked[k], this.payload.limits)));
+    return this.quick.map((_, k) => this.estimate(k, controller, requirements));
+  }
+
+  estimate(index: number, controller: Controller, requirements: Requirements): Margins {
+    return margins(this.quickLoop(index, controller), readerOf(this.askedAt(index, requirements), this.payload.limits));
+  }
+
+  /** One operating point under a controller, without draws. */
+  quickLoop(index: number, controller: Controller): Loop {
+    return new Loop(this.quick[index], controller);
   }
 
   /** What is required at each operating point. */
   asked(requirements: Requirements): Requirements[] {
-    return this.loop.points.map((point) => requirementsAt(requirements, point.operating_point));
+    return this.loop.points.map((_, k) => this.askedAt(k, requirements));
+  }
+
+  private askedAt(index: number, requirements: Requirements): Requirements {
+    return requirementsAt(requirements, this.loop.points[index].operating_point);
   }
 
   /** The verdict on margins at all operating points. */
   verdict(requirements: Requirements, found: Margins[]): Verdict {
-    return verdictOn(this.payload.limits, this.asked(requirements), found);
+    return this.verdictOf(this.asked(requirements), found);
+  }
+
+  verdictOf(asked: Requirements[], found: Margins[]): Verdict {
+    return verdictOn(this.payload.limits, asked, found);
   }
 
   /** One operating point as Python's check reads it. */
   settled(index: number, controller: Controller, requirements: Requirements): Margins {
     const loop = new Loop(this.drawn[index], controller);
-    return { ...margins(loop, readerOf(this.asked(requirements)[index], this.payload.limits)), stability: closedLoopStability(loop), settled: true };
+    return { ...margins(loop, readerOf(this.askedAt(index, requirements), this.payload.limits)), stability: closedLoopStability(loop), settled: true };
   }
 
   /** The same with its detuning margin, which takes longest. */
   detuning(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
-    const loop = new Loop(this.quick[index], controller);
-    return withDetuning(loop, this.drawn[index], m, this.asked(requirements)[index], this.payload.limits);
+    const loop = this.quickLoop(index, controller);
+    return withDetuning(loop, this.drawn[index], m, this.askedAt(index, requirements), this.payload.limits);
   }
 
   /** The same with what each resonance leaves that moves alone. */
   resonances(index: number, controller: Controller, requirements: Requirements, m: Margins): Margins {
-    const loop = new Loop(this.quick[index], controller);
-    return withResonances(loop, this.drawn[index], m, this.asked(requirements)[index], this.payload.limits);
+    const loop = this.quickLoop(index, controller);
+    return withResonances(loop, this.drawn[index], m, this.askedAt(index, requirements), this.payload.limits);
   }
 
   get size(): number {
