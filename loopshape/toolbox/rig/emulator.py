@@ -23,7 +23,7 @@ from loopshape.toolbox.rig.registry import declared
 FLAGS = ("-std=c99", "-O2", "-ffp-contract=off")
 SOURCES = (
     "bytes.h", "board.h", "target.h", "state.h", "frames.h", "frames.c", "target.c", "configure.c", "loops.c", "run.c",
-    "schedule.c", "blocks.c", "stream.c",
+    "schedule.c", "blocks.c", "stream.c", "trial.c",
 )  # fmt: skip
 BOARD_SOURCES = ("boards/line.h", "boards/line.c")
 FIRMWARE_SOURCES = (

@@ -15,14 +15,15 @@ from python_target_blocks import Block, biquad, known, turn
 from python_target_frames import Collector, frame
 from python_target_machine import Axes
 from python_target_schedule import RefusedError, Schedule, fields, inside
+from python_target_trial import Trial
 
 OK, NO, SAMPLES, ENDED = 0x81, 0x82, 0x90, 0x91
 IDENTIFY, CONFIGURE, SECTIONS, LIMIT, READY, ARM, SETPOINT, BEGIN, ROWS, GO, STOP, VENT, DISARM, ALIVE, AGAIN, CLEAR = (
     range(1, 17)
 )
-SCHEDULE, NODES, BLOCK, OUTPUT = 0x11, 0x12, 0x13, 0x14
+SCHEDULE, NODES, BLOCK, OUTPUT, TRIAL, BLEND, PROGRESS = range(0x11, 0x18)
 IDLE, ARMED, RUNNING, FAULT = range(4)
-COMPLETE, STOPPED, BY_LIMIT, BY_RATE, BY_WATCHDOG, UNDERRUN, EMERGENCY = range(7)
+COMPLETE, STOPPED, BY_LIMIT, BY_RATE, BY_WATCHDOG, UNDERRUN, EMERGENCY, BY_MACHINE, BY_TRIAL = range(9)
 CONTROLLER_INPUT, PLANT_INPUT, CONTROL = range(3)
 NONE = 255
 RATE_TICKS = 10
@@ -51,6 +52,8 @@ class Board:
     """A broken board, for tests of the host."""
     guarded: bool = True
     """READY gives ARM's number, and poles outside the unit circle are refused."""
+    trials: bool = True
+    """It runs a second controller beside a loop's own."""
 
 
 @dataclass
@@ -70,6 +73,7 @@ class Settings:
     given: dict[int, int] = field(default_factory=dict)
     """Loops and the blocks that give their z."""
     limits: list[tuple[float, float, float]] = field(default_factory=list)
+    trial: Trial | None = None
     ready: bool = False
 
     def begun(self, loop: int) -> bool:
@@ -208,6 +212,9 @@ class Target:
             answers |= {SCHEDULE: (self._schedule, (IDLE,)), NODES: (self._nodes, (IDLE,))}
         if self.board.most_blocks:
             answers |= {BLOCK: (self._block, (IDLE,)), OUTPUT: (self._output, (IDLE,))}
+        if self.board.trials:
+            answers |= {TRIAL: (self._trial, (IDLE,)), BLEND: (self._blend, (ARMED,))}
+            answers |= {PROGRESS: (self._progress, (IDLE, ARMED, RUNNING, FAULT))}
         if kind not in answers:
             raise RefusedError(8, f"there is no request 0x{kind:02X}")
         answer, states = answers[kind]
@@ -224,7 +231,7 @@ class Target:
         if protocol != 1:
             raise RefusedError(8, f"protocol {protocol} is not spoken here, only 1")
         b, m = self.board, self.machine
-        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0) + 8 * (b.most_blocks > 0) + 16 * b.guarded
+        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0) + 8 * (b.most_blocks > 0) + 16 * b.guarded + 32 * b.trials
         head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
         head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
         words = b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
@@ -327,6 +334,40 @@ class Target:
         s.digest, s.ready = zlib.crc32(payload, s.digest), False
         return b""
 
+    def _trial(self, payload: bytes) -> bytes:
+        s = self._configured()
+        if len(payload) < 11:
+            raise RefusedError(2, "too short")
+        loop, first, count, track = struct.unpack("<BBBd", payload[:11])
+        numbers = fields(f"{5 * count}d", payload[11:])
+        if not count:
+            raise RefusedError(2, "no section")
+        places = len(self.machine.sensors) + len(self.machine.commands)
+        inside(len(s.limits) == places and loop < s.loops, f"a trial of loop {loop} at this place")
+        one = s.trial or Trial(loop, track)
+        inside((one.loop, one.track) == (loop, track) and 0.0 <= track <= 1.0, f"loop {loop}, share {track}")
+        inside(all(map(math.isfinite, numbers)), "a coefficient is not finite")
+        inside(first + count <= self.board.most_sections, f"{first + count} sections")
+        rows = [numbers[5 * i : 5 * i + 5] for i in range(count)]
+        self._stable(row[3:] for row in rows)
+        one.take(first, rows)
+        one.arm()
+        s.trial = one
+        s.digest, s.ready = zlib.crc32(payload, s.digest), False
+        return b""
+
+    def _blend(self, payload: bytes) -> bytes:
+        fields("dIII5d", payload)
+        if self._configured().trial is None:
+            raise RefusedError(4, "no trial is configured")
+        self.settings.trial.blend(payload)
+        return b""
+
+    def _progress(self, payload: bytes) -> bytes:
+        fields("", payload)
+        one = self.settings.trial if self.settings else None
+        return one.progress() if one else struct.pack("<BBIddd", 0, 0, 0, 0.0, 0.0, 0.0)
+
     def _limit(self, payload: bytes) -> bytes:
         s = self._configured()
         index, low, high, rate = fields("Bddd", payload)
@@ -370,6 +411,8 @@ class Target:
         for name, value, (low, high, _) in zip(self.machine.sensors, self.sensors, s.limits, strict=False):
             inside(low <= value <= high, f"{name} is {value}, outside {low} .. {high}")
         self._rest()
+        if s.trial:
+            s.trial.arm()
         self._start_from(self._outputs(self.sensors))
         self.state, self.armed_here, self.fresh = ARMED, True, 0
         return b""
@@ -388,6 +431,7 @@ class Target:
         if place and not self.board.emulated:
             raise RefusedError(8, "a real machine is not placed")
         inside(columns < 1 << 2 * s.loops and place <= 1, f"columns {columns:x}, place {place}")
+        inside(injection != CONTROL or not s.trial or not s.trial.share, "loops stay closed during a trial")
         bits = [bit for bit in range(2 * s.loops) if columns >> bit & 1]
         self.made = []
         self.recording = Announced(run, rows, injection, bits, noise, bool(place))
@@ -494,7 +538,7 @@ class Target:
     def _controllers_rest(self) -> None:
         s = self._configured()
         self.memory = [[[0.0, 0.0] for _ in loop] for loop in s.sections]
-        for one in (*s.schedules.values(), *s.blocks):
+        for one in (*s.schedules.values(), *s.blocks, *([s.trial] if s.trial else [])):
             one.rest()
 
     def _start_from(self, outputs: list[float]) -> None:
@@ -587,6 +631,12 @@ class Target:
             self._hold_or_vent(s, u)
         if found and not self.board.ignores_limits:
             self._fail(*found, y=y)
+        elif (trial := self._configured().trial) and trial.ends:
+            trial.ends = False
+            if self.recording is not None and not self.recording.ended:
+                self._end(BY_TRIAL, NONE, trial.value, trial.limit)
+            else:
+                self._ended(0, 0, BY_TRIAL, NONE, 0, trial.value, trial.limit)
         elif runs and self.recording.tick == self.recording.rows:
             self._end(COMPLETE)
         self._drive(u)
@@ -611,15 +661,16 @@ class Target:
         else:
             given = [0.0] * len(configured.blocks)
         for k, cascade in enumerate(self._configured().sections):
-            e = r[k] - y[k]
-            if injection == CONTROLLER_INPUT:
-                e = e + n[k]
+            error = r[k] - y[k]
+            entered = e = error + n[k] if injection == CONTROLLER_INPUT else error
             if k in schedules:
                 e = schedules[k].step([*r, *y], e)
             if k in configured.given:
                 e = given[configured.given[k]]
             for section, state in zip(cascade, self.memory[k], strict=True):
                 e = biquad(section, state, e)
+            if configured.trial and configured.trial.loop == k and injection != CONTROL:
+                e = configured.trial.step(error, entered, e)
             z.append(e)
             total.append(e + n[k] if injection == PLANT_INPUT else e)
         return z, total
@@ -668,13 +719,13 @@ class Target:
             self.closes = True
         elif self._runs():
             self.reference = list(self.setpoint)
-        tick = max(r.tick - 1, 0) if reason in (BY_LIMIT, BY_RATE) else r.tick
+        tick = max(r.tick - 1, 0) if reason in (BY_LIMIT, BY_RATE, BY_TRIAL) else r.tick
         r.ended = self._ended(r.run, r.tick, reason, index, tick, value, limit)
         r.waits = False
         self.state = ARMED
 
     def _ended(self, run: int, ticks: int, reason: int, index: int, tick: int, value: float, limit: float) -> bytes:
-        words = ("complete", "stopped", "limit", "rate limit", "watchdog", "underrun", "emergency stop")[reason]
+        words = ("complete", "stopped", "limit", "rate limit", "watchdog", "underrun", "emergency stop", "machine", "trial")[reason]
         self.ended = struct.pack("<IIBBIdd", run, ticks, reason, index, tick, value, limit) + text(words)
         self.ended_until, self.ended_next = self.now + 5.0, self.now
         return self.ended
@@ -688,6 +739,8 @@ class Target:
             self._end(reason, index, value, limit)
         else:
             self._ended(0, 0, reason, index, 0, value, limit)
+        if self._configured().trial:
+            self._configured().trial.fault()
         self.state, self.fault = FAULT, reason
         self.held = closed and self._configured().hold and reason != BY_WATCHDOG
         if self.held:

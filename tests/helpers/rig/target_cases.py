@@ -31,7 +31,7 @@ from loopshape.toolbox.rig.target.messages import (
 )
 
 TARGET = Path(loopshape.__file__).parent / "toolbox" / "rig" / "c_target"
-CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "blocks.c", "stream.c", "frames.c")
+CORE = ("target.c", "configure.c", "loops.c", "run.c", "schedule.c", "blocks.c", "stream.c", "trial.c", "frames.c")
 WARNINGS = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror")
 SANITIZERS = ("-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 INFINITE = np.inf

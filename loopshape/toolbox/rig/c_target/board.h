@@ -4,7 +4,7 @@
  * 1. Write the functions below for the board: read the sensors in their units, give pulses to the valves, make the machine
  *    safe, send bytes. boards/cortex_m is a whole one, for an STM32F4 (docs/board.md); scripted.c, a board of the tests, has the functions and
  *    nothing around them. "Vent" is the board's safe state: for a motor, the drive disabled or braked. Compile with
- *    blocks.c, configure.c, frames.c, loops.c, run.c, schedule.c, stream.c and target.c alone; boards/line.c is the emulator's.
+ *    blocks.c, configure.c, frames.c, loops.c, run.c, schedule.c, stream.c, target.c and trial.c alone; boards/line.c is the emulator's.
  * 2. Choose the sizes (target.h: TARGET_LOOPS, TARGET_ROWS, TARGET_TICKS, TARGET_NUMBER_BYTES, ...). RAM is 8 kB (two loops,
  *    five columns) to 11 kB (as target.h has them), + 8 TARGET_POOL bytes and 0.5 kB a loop for schedules and blocks (none
  *    where it is 0), + TARGET_ROWS x 2 TARGET_LOOPS numbers + TARGET_TICKS x
@@ -38,7 +38,7 @@
  * The watchdog of the protocol counts ticks, so that it acts even if the main loop hangs, and the milliseconds of target_poll,
  * so that it acts in time where ticks come late; a board that runs as fast as it can goes by the milliseconds alone. Numbers: f64 arithmetic, by software where the machine has none (a
  * tick of two loops with eight sections is about 300 operations). No heap, no files, no operating system; <math.h> for
- * fabs, ceil and isfinite alone.
+ * fabs, ceil, sqrt and isfinite alone.
  */
 #ifndef LOOPSHAPE_BOARD_H
 #define LOOPSHAPE_BOARD_H

@@ -3,17 +3,19 @@
 
 #include <math.h>
 
-/* One sample through a cascade, direct form II transposed. */
+/* One sample through a section, direct form II transposed. */
+double biquad(const double *c, double *s, double value)
+{
+    const double out = c[0] * value + s[0];
+    s[0] = c[1] * value - c[3] * out + s[1];
+    s[1] = c[2] * value - c[4] * out;
+    return out;
+}
+
 static double cascade(uint8_t loop, double value)
 {
-    for (uint8_t k = 0; k < target.c.count[loop]; k++) {
-        const double *c = target.c.sections[loop][k];
-        double *s = target.l.state[loop][k];
-        const double out = c[0] * value + s[0];
-        s[0] = c[1] * value - c[3] * out + s[1];
-        s[1] = c[2] * value - c[4] * out;
-        value = out;
-    }
+    for (uint8_t k = 0; k < target.c.count[loop]; k++)
+        value = biquad(target.c.sections[loop][k], target.l.state[loop][k], value);
     return value;
 }
 
@@ -37,6 +39,7 @@ void loops_rest(void)
     memset(target.l.state, 0, sizeof target.l.state);
     memset(target.l.follower, 0, sizeof target.l.follower);
     blocks_rest();
+    trial_rest();
     target.l.fresh = 1;
 }
 
@@ -82,6 +85,7 @@ static void begin_here(void)
 void loops_arm(void)
 {
     begin_here();
+    memset(&target.l.trial, 0, sizeof target.l.trial);
     memcpy(target.l.to, target.l.y, sizeof target.l.to);
     memset(target.l.n, 0, sizeof target.l.n);
     memset(target.l.z, 0, sizeof target.l.z);
@@ -113,6 +117,7 @@ void loops_vent(uint8_t state)
 void loops_fault(uint8_t reason, uint8_t index, double value, double limit, const char *sentence)
 {
     run_end(reason, index, value, limit, sentence);
+    trial_fault();
     target.fault = reason;
     if (!target.c.hold || reason == WATCHDOG) {
         loops_vent(FAULT);
@@ -241,7 +246,10 @@ static void control(void)
         blocks_step(injection == CONTROLLER_INPUT);
     for (uint8_t k = 0; k < loops; k++) {
         const double error = l->r[k] - l->y[k];
-        l->z[k] = injection == CONTROL ? l->n[k] : controller(k, injection == CONTROLLER_INPUT ? error + l->n[k] : error);
+        const double input = injection == CONTROLLER_INPUT ? error + l->n[k] : error;
+        l->z[k] = injection == CONTROL ? l->n[k] : controller(k, input);
+        if (injection != CONTROL && target.c.trial.count > 0 && target.c.trial.loop == k)
+            l->z[k] = trial_step(error, input, l->z[k]);
     }
     for (uint8_t j = 0; j < target.board->commands; j++) {
         double sum = 0.0;
@@ -305,6 +313,8 @@ static void closed_tick(void)
         fault_found(sensed);
     else if (given.reason != COMPLETE && target.state != FAULT)
         fault_found(given);
+    else if (target.l.trial.fresh)
+        trial_ended();
     else if (recording && target.run.tick == target.run.rows)
         run_end(COMPLETE, NOBODY, 0.0, 0.0, "");
     if (target.l.closed)

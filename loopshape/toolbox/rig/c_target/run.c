@@ -19,6 +19,8 @@ static int begin_possible(const struct recording *run, uint8_t *code, const char
         *code = refuse(NO_RANGE, why, "run, rows, injection or place");
     else if (run->columns >> columns)
         *code = refuse(NO_RANGE, why, "a column of a loop that there is not");
+    else if (run->injection == CONTROL && target.l.trial.share > 0.0)
+        *code = refuse(NO_RANGE, why, "loops stay closed during a trial");
     else if (run->place && !(target.board->flags & BOARD_EMULATED))
         *code = refuse(NO_SUPPORT, why, "a real machine cannot be placed");
     else if (run->place && !board_place(target.c.outputs, target.c.loops, target.l.to, 0))
@@ -201,7 +203,7 @@ void run_end(uint8_t reason, uint8_t index, double value, double limit, const ch
     struct ended *end = &target.ended[run->announced ? 0 : 1];
     const uint32_t tick = run->announced ? run->tick : 0;
     const uint8_t open = run->going && run->injection == CONTROL;
-    const uint8_t on_tick = (reason == LIMIT || reason == RATE_LIMIT) && tick > 0; /* its sample was the last */
+    const uint8_t on_tick = (reason == LIMIT || reason == RATE_LIMIT || reason == TRIAL) && tick > 0; /* its sample was the last */
 
     memset(end, 0, sizeof *end);
     end->waiting = 1;

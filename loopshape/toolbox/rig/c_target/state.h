@@ -32,8 +32,9 @@ typedef float number;
 
 enum { IDLE, ARMED, RUNNING, FAULT };
 enum { NO_STATE = 1, NO_MALFORMED, NO_RANGE, NO_CONFIGURED, NO_DIGEST, NO_ROOM, NO_RUN, NO_SUPPORT, NO_PLACE, NO_FRESH };
-enum { COMPLETE, STOPPED, LIMIT, RATE_LIMIT, WATCHDOG, UNDERRUN, EMERGENCY_STOP, MACHINE };
+enum { COMPLETE, STOPPED, LIMIT, RATE_LIMIT, WATCHDOG, UNDERRUN, EMERGENCY_STOP, MACHINE, TRIAL };
 enum { CONTROLLER_INPUT, PLANT_INPUT, CONTROL };
+enum { OWN, ON_TRIAL, WENT_BACK, KEPT }; /* of a trial */
 
 struct limit {
     double low, high, rate;
@@ -60,7 +61,27 @@ struct block {
     uint32_t from;
 };
 
-/* What CONFIGURE, BLOCK, SECTIONS, SCHEDULE, NODES, OUTPUT and LIMIT said, and how far they came. */
+/* A controller that may take a loop's place; without sections there is none. */
+struct trial_setup {
+    uint8_t loop, count;
+    double track, sections[TARGET_SECTIONS][5];
+};
+
+/* What a trial's step is watched for; ticks. */
+struct watch {
+    uint32_t ramp, lease, window;
+    double share, error_peak, control_low, control_high, error_rms, growth;
+};
+
+/* How far a trial is, and why it went back. */
+struct trial {
+    uint8_t phase, why, fresh;
+    uint32_t ticks, seen; /* since BLEND, and of this window */
+    double state[TARGET_SECTIONS][2], offset, share, from, sum, before, value, limit;
+    struct watch watch;
+};
+
+/* What CONFIGURE, BLOCK, SECTIONS, SCHEDULE, NODES, OUTPUT, LIMIT and TRIAL said, and how far they came. */
 struct configuration {
     uint8_t loops, hold, sections_loop, limits, ready;
     uint16_t watchdog_ms;
@@ -75,6 +96,7 @@ struct configuration {
     uint32_t used;                        /* of the numbers */
     double numbers[TARGET_POOL > 0 ? TARGET_POOL : 1];
     struct limit limit[LIMITED];
+    struct trial_setup trial;
 };
 
 /* The loops: sensors and commands in one row, as LIMIT counts them. */
@@ -83,6 +105,7 @@ struct loops {
     double y[TARGET_LOOPS], r[TARGET_LOOPS], n[TARGET_LOOPS], z[TARGET_LOOPS];
     double state[TARGET_LOOPS][TARGET_SECTIONS][2];
     struct follower follower[FOLLOWERS];
+    struct trial trial;
     uint8_t block_wait[TARGET_BLOCKS]; /* ticks until its turn */
     uint16_t block_at[TARGET_BLOCKS];  /* place in its delay line */
     double from[TARGET_LOOPS], to[TARGET_LOOPS]; /* the references' way to the setpoint */
@@ -171,6 +194,16 @@ void blocks_rest(void);
 void blocks_step(int injected); /* n is taken off y */
 double block_value(uint8_t block);
 
+/* trial.c */
+uint8_t ask_trial(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_blend(struct reader *in, struct writer *out, const char **why);
+uint8_t ask_progress(struct reader *in, struct writer *out, const char **why);
+void trial_rest(void);
+void trial_back(uint8_t why, double value, double limit);
+void trial_fault(void);
+void trial_ended(void);
+double trial_step(double error, double input, double own); /* the loop's z from that of its own controller */
+
 /* run.c */
 uint8_t ask_begin(struct reader *in, struct writer *out, const char **why);
 uint8_t ask_rows(struct reader *in, struct writer *out, const char **why);
@@ -189,6 +222,7 @@ int send_body(uint8_t *body, size_t count);
 struct writer body_of(uint8_t *data, uint8_t type, uint16_t tag);
 
 /* loops.c */
+double biquad(const double *c, double *s, double value);
 void loops_arm(void);
 void loops_rest(void);
 void loops_start_here(double ramp_s);

@@ -6,6 +6,7 @@
 #define VENT 0x0C
 #define TAKES_SCHEDULES 4 /* of IDENTIFY's flags */
 #define TAKES_BLOCKS 8
+#define TAKES_TRIALS 32
 #define GUARDED 16 /* READY gives ARM's number, poles outside the unit circle are refused */
 #define TAGS_AHEAD 256u /* of a request that feeds the watchdog, beyond the one before it */
 #define IDLE_MS 1000u /* a host that is silent for so long may be replaced */
@@ -40,7 +41,7 @@ static uint8_t ask_identify(struct reader *in, struct writer *out, const char **
     put_u32(out, TARGET_TICKS);
     put_f64(out, b->rate_hz);
     put_f64(out, b->pwm_hz);
-    put_u8(out, (uint8_t)(b->flags | GUARDED | (TARGET_POOL > 0 ? TAKES_SCHEDULES | TAKES_BLOCKS : 0)));
+    put_u8(out, (uint8_t)(b->flags | GUARDED | TAKES_TRIALS | (TARGET_POOL > 0 ? TAKES_SCHEDULES | TAKES_BLOCKS : 0)));
     put_text(out, b->name);
     put_text(out, b->version);
     for (uint8_t k = 0; k < b->sensors + b->commands; k++)
@@ -174,7 +175,8 @@ static const struct {
     {ask_go, IN(ARMED)},      {ask_stop, ANY},           {ask_vent, ANY},
     {ask_disarm, ANY},        {ask_alive, ANY},          {ask_again, ANY},
     {ask_clear, IN(FAULT)},   {ask_schedule, IN(IDLE)},  {ask_nodes, IN(IDLE)},
-    {ask_block, IN(IDLE)},    {ask_output, IN(IDLE)},
+    {ask_block, IN(IDLE)},    {ask_output, IN(IDLE)},    {ask_trial, IN(IDLE)},
+    {ask_blend, IN(ARMED)},   {ask_progress, ANY},
 };
 
 static uint8_t done(uint8_t type, uint16_t tag, struct reader *in, struct writer *out, const char **why)

@@ -15,6 +15,7 @@ from loopshape.core.units import Array
 from loopshape.toolbox.rig.target.blocks import Block
 from loopshape.toolbox.rig.target.frames import LONGEST_PAYLOAD, Frame
 from loopshape.toolbox.rig.target.scheduling import Scheduling
+from loopshape.toolbox.rig.target.trial import Trial
 
 PROTOCOL = 1
 
@@ -42,6 +43,9 @@ class Request(IntEnum):
     NODES = 0x12
     BLOCK = 0x13
     OUTPUT = 0x14
+    TRIAL = 0x15
+    BLEND = 0x16
+    PROGRESS = 0x17
 
 
 class Response(IntEnum):
@@ -73,6 +77,7 @@ class Reason(IntEnum):
     UNDERRUN = 5
     EMERGENCY_STOP = 6
     MACHINE = 7
+    TRIAL = 8
 
 
 REFUSALS = {
@@ -127,6 +132,7 @@ class Identity:
     `ranges` are the lowest and highest value of each sensor, then of each command; an older target says none.
     `schedules`: whether it takes controllers that follow an operating point, `blocks`: such that are a diagram.
     `guarded`: whether it arms by a number that it gives fresh, and refuses poles outside the unit circle.
+    `trials`: whether it runs a second controller beside a loop's own and goes back by itself.
     """
 
     protocol: int
@@ -147,6 +153,7 @@ class Identity:
     schedules: bool = False
     blocks: bool = False
     guarded: bool = False
+    trials: bool = False
 
     @classmethod
     def read(cls, payload: bytes) -> Identity:
@@ -171,7 +178,7 @@ class Identity:
             protocol, f"<f{size}", loops, sections, buffer, memory, rate_hz, pwm_hz, bool(flags & 1), bool(flags & 2),
             board, version, tuple(names[:sensors]), tuple(names[sensors:]),
             tuple(zip(numbers[::2], numbers[1::2], strict=True)), bool(flags & 4),
-            bool(flags & 8), bool(flags & 16),
+            bool(flags & 8), bool(flags & 16), bool(flags & 32),
         )  # fmt: skip
 
     def width(self, loops: int) -> int:
@@ -184,7 +191,7 @@ class Configuration:
     """What a target is to do: matrices, controllers and limits.
 
     `outputs` (loops, sensors) and `mixing` (commands, loops); of each loop its `sections` (k, 5), its schedule, or the
-    place among `blocks` that gives its z; `limits` (sensors + commands, 3): low, high and rate per second in the
+    place among `blocks` that gives its z; `trial` a second controller for one of them; `limits` (sensors + commands, 3): low, high and rate per second in the
     columns' units.
     """
 
@@ -198,6 +205,7 @@ class Configuration:
     pwm_hz: float = 0.0
     dead_zone: float = 0.0
     blocks: tuple[Block, ...] = ()
+    trial: Trial | None = None
 
     def frames(self) -> list[tuple[Request, bytes]]:
         """The requests that configure, in the order of the digest."""
@@ -211,9 +219,10 @@ class Configuration:
                 requests += [(Request.OUTPUT, bytes((loop, sections)))]
             else:
                 requests += _sections(loop, sections)
-        return requests + [
+        requests += [
             (Request.LIMIT, struct.pack("<Bddd", k, *map(float, limit))) for k, limit in enumerate(self.limits.tolist())
         ]
+        return requests + [(Request.TRIAL, part) for part in (self.trial.payloads() if self.trial else [])]
 
     def _configure(self) -> bytes:
         head = struct.pack(

@@ -20,6 +20,7 @@ from loopshape.toolbox.rig.target.messages import (
     setpoint,
     start_payload,
 )
+from loopshape.toolbox.rig.target.trial import Trial, Watch
 
 STATES = list(State)
 #: requests that are in order but for the state, and where they are allowed
@@ -47,6 +48,9 @@ REQUESTS = {
     Request.BLOCK: (struct.pack("<BBHBBdB", 0, 1, 0, 1, 0, 1.0, 0), [State.IDLE]),
     Request.OUTPUT: (b"\0\0", [State.IDLE]),
     Request.NODES: (struct.pack("<BHB6d", 0, 0, 1, *np.ones(6)), [State.IDLE]),
+    Request.TRIAL: (Trial(0, GAIN).payloads()[0], [State.IDLE]),
+    Request.BLEND: (Watch(0.5, 1, 1, 1).payload(), [State.ARMED]),
+    Request.PROGRESS: (b"", STATES),
 }
 
 

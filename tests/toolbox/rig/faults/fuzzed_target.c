@@ -137,9 +137,10 @@ static double any_number(void)
 /* The payload of a request: fitting, with numbers of any kind, or of any bytes. */
 static void fill(uint8_t type, struct writer *p)
 {
-    static const char *const form[0x15] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "iq",  "dd", "iibhqb",
-                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd", "bbhbbdbddddd", "bb"};
-    const char *text = type <= 0x14 ? form[type] : "qqq";
+    static const char *const form[0x18] = {"",    "h",        "bbbhdddddd", "bbbddddd", "bddd", "", "iq",  "dd", "iibhqb",
+                                           "iibd", "i", "",  "",     "",    "ii",  "iih",  "", "bbbdbdbdd", "bhbdddddd", "bbhbbdbddddd", "bb",
+                                           "bbbdddddd", "diiiddddd", ""};
+    const char *text = type <= 0x17 ? form[type] : "qqq";
     if (drawn(8) == 0) {
         for (uint32_t n = drawn(60); n > 0; n--)
             put_u8(p, (uint8_t)drawn(256));
@@ -205,10 +206,21 @@ static void controller(struct writer *p)
     }
 }
 
+/* Half of another gain, watched for this and that. */
+static void blend(struct writer *p)
+{
+    p->count = 0;
+    put_f64(p, 0.5), put_u32(p, drawn(10)), put_u32(p, 1 + drawn(60)), put_u32(p, 1 + drawn(10));
+    put_f64(p, 1.0 + drawn(2)), put_f64(p, -3.0), put_f64(p, 3.0), put_f64(p, 1.0 + drawn(2)), put_f64(p, 2.0);
+    ask(0x16, p);
+}
+
 static void configure(uint8_t hold_on_limit)
 {
     uint8_t data[256];
     struct writer p = {data, 0, sizeof data};
+    const double other[] = {0.5, 3.0, 0.2, 0.0, -0.4, 0.1}; /* track, then a section */
+    const int tried = drawn(2) == 0;
     const double head[] = {0.0, 0.0, 0.0, 1.0, 0.0, 1.0};
 
     put_u8(&p, 1), put_u8(&p, hold_on_limit), put_u8(&p, 1), put_u16(&p, WATCHDOG_MS);
@@ -221,9 +233,17 @@ static void configure(uint8_t hold_on_limit)
         put_u8(&p, k), put_f64(&p, -1.0), put_f64(&p, 1.0), put_f64(&p, drawn(2) ? INFINITY : 50.0);
         part(0x04, &p);
     }
+    if (tried) {
+        put_u8(&p, 0), put_u8(&p, 0), put_u8(&p, 1);
+        for (int k = 0; k < 6; k++)
+            put_f64(&p, other[k]);
+        part(0x15, &p);
+    }
     ask(0x05, &p);
     put_u32(&p, digest), put_bits(&p, fresh, 8);
     ask(0x06, &p);
+    if (tried && drawn(4))
+        blend(&p);
 }
 
 static void record(void)
@@ -248,7 +268,7 @@ static void send_changed(void)
 {
     uint8_t data[FRAME_PAYLOAD], body[FRAME_BODY], encoded[2 * FRAME_ENCODED + 4];
     struct writer p = {data, 0, sizeof data}, out = {body, 0, FRAME_HEAD + FRAME_PAYLOAD};
-    const uint8_t type = (uint8_t)drawn(0x18);
+    const uint8_t type = (uint8_t)drawn(0x1A);
 
     fill(type, &p);
     put_u8(&out, type), put_u16(&out, (uint16_t)drawn(4));
