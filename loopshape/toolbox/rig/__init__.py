@@ -11,6 +11,7 @@ from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
     from loopshape.toolbox.rig.study import Study as Study
+    from loopshape.toolbox.rig.verbs.adopt import adopt as adopt
     from loopshape.toolbox.rig.verbs.machine import connect as connect
     from loopshape.toolbox.rig.verbs.machine import emulator as emulator
     from loopshape.toolbox.rig.verbs.machine import measure as measure
@@ -47,6 +48,7 @@ TOOLBOX = Toolbox(
     ),
     names={
         "Study": "loopshape.toolbox.rig.study",
+        "adopt": "loopshape.toolbox.rig.verbs.adopt",
         "connect": "loopshape.toolbox.rig.verbs.machine",
         "emulator": "loopshape.toolbox.rig.verbs.machine",
         "measure": "loopshape.toolbox.rig.verbs.machine",

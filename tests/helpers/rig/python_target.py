@@ -130,6 +130,7 @@ class Target:
         self.now = self.heard = self.fed = self.came = self.sent_at = 0.0
         self.fed_tag, self.fresh, self.armed_here = 0, 0, False
         self.ticks_unheard = 0
+        self.blended_at = 0.0
         self.held = False
         self._last: tuple[bytes, bytes] | None = None
         self._rest()
@@ -231,7 +232,14 @@ class Target:
         if protocol != 1:
             raise RefusedError(8, f"protocol {protocol} is not spoken here, only 1")
         b, m = self.board, self.machine
-        flags = b.emulated + 2 * b.fast + 4 * (b.schedule_rows > 0) + 8 * (b.most_blocks > 0) + 16 * b.guarded + 32 * b.trials
+        flags = (
+            b.emulated
+            + 2 * b.fast
+            + 4 * (b.schedule_rows > 0)
+            + 8 * (b.most_blocks > 0)
+            + 16 * b.guarded
+            + 32 * b.trials
+        )
         head = struct.pack("<HBBBBB", 1, b.number_bytes, len(m.sensors), len(m.commands), b.most_loops, b.most_sections)
         head += struct.pack("<IIddB", b.buffer, b.memory, m.rate_hz, b.frequency_hz, flags)
         words = b"".join(text(word) for word in (b.board, b.version, *m.sensors, *m.commands))
@@ -361,6 +369,7 @@ class Target:
         if self._configured().trial is None:
             raise RefusedError(4, "no trial is configured")
         self.settings.trial.blend(payload)
+        self.blended_at = self.now
         return b""
 
     def _progress(self, payload: bytes) -> bytes:
@@ -670,6 +679,8 @@ class Target:
             for section, state in zip(cascade, self.memory[k], strict=True):
                 e = biquad(section, state, e)
             if configured.trial and configured.trial.loop == k and injection != CONTROL:
+                if self.board.fast:
+                    configured.trial.age = (self.now - self.blended_at) * self.machine.rate_hz
                 e = configured.trial.step(error, entered, e)
             z.append(e)
             total.append(e + n[k] if injection == PLANT_INPUT else e)
@@ -725,7 +736,17 @@ class Target:
         self.state = ARMED
 
     def _ended(self, run: int, ticks: int, reason: int, index: int, tick: int, value: float, limit: float) -> bytes:
-        words = ("complete", "stopped", "limit", "rate limit", "watchdog", "underrun", "emergency stop", "machine", "trial")[reason]
+        words = (
+            "complete",
+            "stopped",
+            "limit",
+            "rate limit",
+            "watchdog",
+            "underrun",
+            "emergency stop",
+            "machine",
+            "trial",
+        )[reason]
         self.ended = struct.pack("<IIBBIdd", run, ticks, reason, index, tick, value, limit) + text(words)
         self.ended_until, self.ended_next = self.now + 5.0, self.now
         return self.ended

@@ -18,6 +18,8 @@ class Trial:
     loop: int
     track: float
     sections: list[tuple[float, ...]] = field(default_factory=list)
+    age: float | None = None
+    """Ticks since BLEND by the clock, where a board as fast as it can goes by that."""
 
     def take(self, first: int, rows: list[tuple[float, ...]]) -> None:
         """More sections."""
@@ -46,7 +48,7 @@ class Trial:
         inside(peak > 0.0 and rms > 0.0 and growth > 1.0 and low < high, f"watched {numbers}")
         self.to, self.ramp, self.lease, self.window = share, ramp, lease, window
         self.peak, self.low, self.high, self.rms, self.growth = numbers
-        self.start, self.ticks, self.errors, self.before = self.share, 0, [], None
+        self.start, self.ticks, self.errors, self.before, self.rising = self.share, 0, [], None, 0
         self.phase = ON_TRIAL if lease else KEPT
         if share == 0.0:
             self.back(HOST)
@@ -96,6 +98,8 @@ class Trial:
         if len(self.errors) == self.window:
             now, before, self.errors = total / self.window, self.before, []
             self.before = now
-            if before is not None and now > 0.25 * self.rms**2 and now > self.growth * before:
+            self.rising = self.rising + 1 if before is not None and now > self.growth * before else 0
+            if self.rising == 3:
                 return GROWTH, math.sqrt(now / before), math.sqrt(self.growth)
-        return (LEASE, float(self.ticks), float(self.lease)) if 0 < self.lease <= self.ticks else None
+        age = float(self.ticks if self.age is None else self.age)
+        return (LEASE, age, float(self.lease)) if 0 < self.lease <= age else None

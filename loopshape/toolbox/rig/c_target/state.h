@@ -75,8 +75,8 @@ struct watch {
 
 /* How far a trial is, and why it went back. */
 struct trial {
-    uint8_t phase, why, fresh;
-    uint32_t ticks, seen; /* since BLEND, and of this window */
+    uint8_t phase, why, fresh, rising;
+    uint32_t ticks, seen, began_ms; /* since BLEND, of this window, and when that was */
     double state[TARGET_SECTIONS][2], offset, share, from, sum, before, value, limit;
     struct watch watch;
 };

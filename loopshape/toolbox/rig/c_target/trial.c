@@ -3,7 +3,7 @@
 
 #include <math.h>
 
-#define FLOOR 0.25 /* of the mean square that is allowed: what grows below it is no growth yet */
+#define RISING 3 /* windows in a row that each grow: an excitation that begins makes two grow at most */
 
 enum { NOTHING, ERROR_PEAK, CONTROL_RANGE, ERROR_RMS, GROWTH, LEASE, HOST, FAULTED };
 
@@ -77,9 +77,11 @@ uint8_t ask_blend(struct reader *in, struct writer *out, const char **why)
         return NO_RANGE;
     t->watch = w;
     t->from = t->share;
+    t->began_ms = target.now_ms;
     t->ticks = t->seen = 0;
     t->sum = 0.0;
     t->before = -1.0;
+    t->rising = 0;
     t->phase = w.lease == 0 ? KEPT : ON_TRIAL;
     if (w.share == 0.0)
         trial_back(HOST, 0.0, 0.0);
@@ -158,11 +160,21 @@ static uint8_t watch_square(double error, double *value, double *limit)
     t->before = now;
     t->sum = 0.0;
     t->seen = 0;
-    if (before < 0.0 || now <= FLOOR * allowed || now <= w->growth * before)
+    t->rising = before >= 0.0 && now > w->growth * before ? (uint8_t)(t->rising + 1) : 0;
+    if (t->rising < RISING)
         return NOTHING;
     *value = sqrt(now / before);
     *limit = sqrt(w->growth);
     return GROWTH;
+}
+
+/* Since BLEND; a board that runs as fast as it can goes by the clock, as a host does. */
+static double age_ticks(void)
+{
+    const struct trial *t = &target.l.trial;
+    if (target.board->flags & BOARD_FAST)
+        return 1e-3 * (double)(target.now_ms - t->began_ms) * target.board->rate_hz;
+    return (double)t->ticks;
 }
 
 static uint8_t watched(double error, double control, double *value, double *limit)
@@ -178,9 +190,10 @@ static uint8_t watched(double error, double control, double *value, double *limi
     if (!(control >= w->control_low && control <= w->control_high))
         return CONTROL_RANGE;
     const uint8_t found = watch_square(error, value, limit);
-    if (found != NOTHING || w->lease == 0 || target.l.trial.ticks < w->lease)
+    const double age = age_ticks();
+    if (found != NOTHING || w->lease == 0 || age < (double)w->lease)
         return found;
-    *value = (double)target.l.trial.ticks;
+    *value = age;
     *limit = (double)w->lease;
     return LEASE;
 }

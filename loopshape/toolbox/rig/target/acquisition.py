@@ -26,7 +26,7 @@ HAND_ON_S = 0.1  # so often what came is handed on
 PATIENCE_S = 0.1  # so long does what was asked again take to come
 STILL_S = 6.0  # longer than a target repeats the end of a run
 RATE_TICKS = 10  # a rate is averaged over so many ticks: a converter's step is no alarm
-KEPT_REASONS = (Reason.COMPLETE, Reason.LIMIT, Reason.RATE_LIMIT, Reason.MACHINE)
+KEPT_REASONS = (Reason.COMPLETE, Reason.LIMIT, Reason.RATE_LIMIT, Reason.MACHINE, Reason.TRIAL)
 
 
 Arrived = Callable[[Mapping[str, Array]], None]

@@ -191,8 +191,8 @@ class Configuration:
     """What a target is to do: matrices, controllers and limits.
 
     `outputs` (loops, sensors) and `mixing` (commands, loops); of each loop its `sections` (k, 5), its schedule, or the
-    place among `blocks` that gives its z; `trial` a second controller for one of them; `limits` (sensors + commands, 3): low, high and rate per second in the
-    columns' units.
+    place among `blocks` that gives its z; `trial` a second controller for one of them; `limits` (sensors + commands,
+    3): low, high and rate per second in the columns' units.
     """
 
     outputs: Array

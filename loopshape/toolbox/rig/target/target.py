@@ -172,7 +172,7 @@ def drive(
                 supervisor = None if experiment is None else supervise(experiment)
             if experiment is None:
                 break
-            recording, ended = _record(armed, experiment, number, keeper, supervisor)
+            recording, ended = record(armed, experiment, number, keeper, supervisor)
             with armed.session.kept_alive(beat):
                 yield recording
             if ended.reason not in (Reason.COMPLETE, Reason.STOPPED) and not _again(armed):
@@ -192,9 +192,10 @@ def _again(armed: Armed) -> bool:
     return True
 
 
-def _record(
+def record(
     armed: Armed, e: Experiment, number: int, keeper: Keeper, supervisor: Supervisor | None
 ) -> tuple[Recording, Ended]:
+    """One experiment, and how it ended; `number` is new for the target."""
     place = armed.settings.place and armed.session.identity.emulated
     _extremes(armed, e, place)
     arrived: list[Arrived] = []

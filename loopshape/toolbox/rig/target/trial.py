@@ -1,4 +1,4 @@
-"""A second controller on a target: TRIAL loads it beside a loop's own, BLEND crosses over, PROGRESS says how far it is."""
+"""A second controller on a target: TRIAL loads it beside a loop's own, BLEND crosses over, PROGRESS says how far."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Phase(IntEnum):
 
 
 class Why(IntEnum):
-    """What took a target back to the loop's own controller."""
+    """What took a target back."""
 
     NOTHING = 0
     ERROR_PEAK = 1
@@ -50,7 +50,7 @@ class Why(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A controller for the loop at this place: its `sections` (n, 5), computed beside the loop's own from the same error.
+    """A controller for the loop at this place: its `sections` (n, 5), computed beside the loop's own from one error.
 
     With `track` above 0 its output is shifted by the mean difference of both, which follows each tick by that share
     until the first step and stays from there on: what an integrator holds then is the loop's own offset, not its own.
@@ -75,7 +75,7 @@ class Watch:
     """One step of a trial: the new controller's `share`, reached over `ramp` ticks, and what ends it.
 
     The target goes back where |r - y| passes `error_peak`, its mean square over `window` ticks `error_rms` squared, or
-    grows from one window to the next by `growth` (above a quarter of what is allowed), where z leaves `control_low` to
+    grows by `growth` from one window to the next three times in a row, where z leaves `control_low` to
     `control_high`, and after `lease` ticks without another BLEND; 0: it stays, with a share of 1 alone. In the units of
     the loop's output and of z.
     """
@@ -117,5 +117,7 @@ class Progress:
             return cls(Phase(phase), Why(why), *numbers)
         except (struct.error, ValueError):
             raise UnreadableInputError(
-                "the target says of a trial what the protocol does not have", payload.hex(), "its version may be another"
+                "the target says of a trial what the protocol does not have",
+                payload.hex(),
+                "its version may be another",
             ) from None

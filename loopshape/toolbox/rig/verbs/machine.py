@@ -79,7 +79,7 @@ def measure(
     line, `StoppedAtLimitError` where a real machine passed a limit. Ctrl-C raises KeyboardInterrupt with what is kept.
     """
     file, folder, watcher = Path(study), Path(out), watch or Unwatched()
-    wanted, plant = _asked(file, controllers, effects)
+    wanted, plant = asked_study(file, controllers, effects)
     course = Course(wanted, plant, folder, watcher, _escalation(wanted, escalate), until_of(until))
     if decoupling is not None:
         wanted = replace(wanted, decoupling=decoupling)
@@ -158,7 +158,7 @@ class Target:
         allow_unverified: bool = False,
     ) -> Motion:
         """What it would do in a study (a TOML file): limits, and each recording with its signals; nothing moves."""
-        wanted, plant = _asked(Path(study), controllers, ())
+        wanted, plant = asked_study(Path(study), controllers, ())
         kept = None if verdict is None else Path(verdict)
         return motion_of(_with_diagram(wanted, diagram), plant, self.port, kept, allow_unverified)
 
@@ -215,7 +215,9 @@ def emulator(
         yield port
 
 
-def _asked(file: Path, controllers: Iterable[Controller | GainScheduled], effects: Sequence[str]) -> tuple[Study, Rig]:
+def asked_study(
+    file: Path, controllers: Iterable[Controller | GainScheduled], effects: Sequence[str]
+) -> tuple[Study, Rig]:  # fmt: skip
     """A study with what replaces its own, and its plant."""
     study = read_study(file)
     refuse_unknown("a rig is not known", study.rig, ("simulated", "target"))

@@ -65,7 +65,7 @@ def record_on_target(
         return
     with open_link(name, settings.baud) as link:
         session = Session(link)
-        motion, wanted = _motion(session, name, study, plant, todo, verdict, allow_unverified)
+        motion, wanted = planned_motion(session, name, study, plant, todo, verdict, allow_unverified)
         if not confirm(motion):
             raise WrongUseError("no motion", "no word to arm", "look at what it will do, then give arm=True")
         start_run(out, head)
@@ -88,7 +88,7 @@ def record_on_target(
     _refuse_a_limit(session.identity, settings, name, out, [one.name for one in todo])
 
 
-def _motion(
+def planned_motion(
     session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned],
     verdict: Path | None, allow_unverified: bool,
 ) -> tuple[Motion, Configuration]:  # fmt: skip
@@ -98,7 +98,7 @@ def _motion(
     pwm = header(study, plant).pwm or study.pwm
     wanted = configuration(identity, loops, settings, study.rate_hz, pwm, study.diagram)
     notes = (*_unverified(loops, wanted, verdict, allow_unverified), *_older_target(identity))
-    notes += tuple(_loud(session, loops, wanted, allow_unverified))
+    notes += tuple(loud(session, loops, wanted, allow_unverified))
     motion = Motion(identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one), notes)
     _refuse_signals_beyond_limits(motion, wanted)
     return motion, wanted
@@ -112,7 +112,7 @@ def motion_of(
         raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.rig.measure")
     _refuse_what_only_models_do(study)
     with open_link(port, study.target.baud) as link:
-        return _motion(Session(link), port, study, plant, plan(study, plant), verdict, allow_unverified)[0]
+        return planned_motion(Session(link), port, study, plant, plan(study, plant), verdict, allow_unverified)[0]
 
 
 def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | None, allowed: bool) -> tuple[str, ...]:
@@ -157,7 +157,7 @@ def _runs_the_same(theirs: Controller | GainScheduled, ours: Controller | None) 
     return theirs.rate_hz == ours.rate_hz and np.array_equal(theirs.biquads(), ours.biquads())
 
 
-def _loud(
+def loud(
     session: Session, loops: Sequence[LoopSetup], wanted: Configuration, allowed: bool
 ) -> list[str]:  # fmt: skip
     """Commands of which noise at rest alone would take too much, a sentence each; refuses them unless allowed.

@@ -86,7 +86,7 @@ CASES = {
     "control_low": (dict(control_low=-0.2, control_high=0.2), Why.CONTROL_RANGE, lambda k: max(-0.01 * k, -0.9), None),
     # squares of 0.01 fill less than the first window's 1.4641; from tick 100 on 0.04 a tick: more after 37 of them
     "rms": (dict(error_rms=0.121), Why.ERROR_RMS, lambda k: 0.2 if k >= 100 else 0.1, 136),
-    "growth": (dict(error_rms=1.0, growth=3.0, window=20), Why.GROWTH, lambda k: min(0.4 * 2.0 ** (k // 20), 0.9), 39),
+    "growth": (dict(error_rms=1.0, growth=3.0, window=20), Why.GROWTH, lambda k: min(0.05 * 2.0 ** (k // 20), 0.9), 79),
     "lease": (dict(lease=70), Why.LEASE, lambda k: 0.1, 69),
 }  # fmt: skip
 
@@ -131,7 +131,11 @@ def test_what_a_target_refuses(bench, target):
     assert one.no(Request.BLEND, wide) == 1  # not armed
     limits = np.array([[-1.0, 1.0, inf]] * 4)
     gain = np.array([[1.0, 0.0, 0.0, 0.0, 0.0]])
-    both = bench.configuration if target == "C" else Configuration(np.eye(2), np.eye(2), (gain, gain), limits, False, 9999, 0.0)
+    both = (
+        bench.configuration
+        if target == "C"
+        else Configuration(np.eye(2), np.eye(2), (gain, gain), limits, False, 9999, 0.0)
+    )
     both = replace(both, watchdog_ms=9999)
     outside = np.array([[1.0, 0.0, 0.0, -2.1, 1.05]])
     frames = both.frames()
