@@ -12,6 +12,7 @@ from loopshape.core.toolboxes import Command, Toolbox
 if TYPE_CHECKING:
     from loopshape.toolbox.rig.study import Study as Study
     from loopshape.toolbox.rig.verbs.adopt import adopt as adopt
+    from loopshape.toolbox.rig.verbs.adopt import advise as advise
     from loopshape.toolbox.rig.verbs.machine import connect as connect
     from loopshape.toolbox.rig.verbs.machine import emulator as emulator
     from loopshape.toolbox.rig.verbs.machine import measure as measure
@@ -37,6 +38,13 @@ TOOLBOX = Toolbox(
         ),
         Command(
             "Measure and import",
+            "adopt",
+            "loopshape.toolbox.rig.commands.adopt:adopt",
+            "loopshape adopt runs/axis controller.toml --study axis.toml --port tcp://127.0.0.1:4040 --out runs/adopt",
+            30,
+        ),
+        Command(
+            "Measure and import",
             "emulator",
             "loopshape.toolbox.rig.commands.emulator:emulator",
             "loopshape emulator --tcp 4040",
@@ -49,6 +57,7 @@ TOOLBOX = Toolbox(
     names={
         "Study": "loopshape.toolbox.rig.study",
         "adopt": "loopshape.toolbox.rig.verbs.adopt",
+        "advise": "loopshape.toolbox.rig.verbs.adopt",
         "connect": "loopshape.toolbox.rig.verbs.machine",
         "emulator": "loopshape.toolbox.rig.verbs.machine",
         "measure": "loopshape.toolbox.rig.verbs.machine",

@@ -52,6 +52,12 @@ def blended(old: Controller, new: Controller, share: float) -> Controller:
         for weight, mine, other in ((1.0 - share, first, second), (share, second, first))
     ]
     total = np.asarray(poly.polyadd(*tops), dtype=float)
+    if not total.any():
+        raise WrongUseError(
+            f"both controllers of loop {new.loop!r} cancel each other",
+            f"at a share of {share:g}",
+            "choose other shares",
+        )
     kept = np.flatnonzero(np.abs(total) > ROUNDED * np.abs(total).max())
     zeros = _tidy(np.roots(total[: kept[-1] + 1][::-1]).astype(complex))
     poles = np.concatenate([np.zeros(integrators), first.poles, second.poles])

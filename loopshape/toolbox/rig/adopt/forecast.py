@@ -121,11 +121,15 @@ class Forecast(Plain):
 
 
 def forecast(P: FRF, old: Controller, new: Controller, R: Requirements, shares: Sequence[float] = SHARES) -> Forecast:
-    """All steps from one controller to another on a measured plant. A sum of two stabilising ones need not be one."""
+    """All steps from one controller to another on a measured plant. A sum of two stabilising ones need not be one.
+
+    Of a new controller that fails by itself the steps are not looked at.
+    """
     from loopshape.verbs.chain import check
 
-    steps = tuple(foresee(P, blended(old, new, share), R, share) for share in shares)
-    return Forecast(steps, check(P, new, R))
+    verdict = check(P, new, R)
+    shares = () if verdict.outcome is Outcome.FAILED else shares
+    return Forecast(tuple(foresee(P, blended(old, new, share), R, share) for share in shares), verdict)
 
 
 def _verdict_words(verdict: Verdict) -> str:

@@ -19,10 +19,10 @@ from loopshape.io.run.stream_log import adopted, open_stream_log
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
 from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.rig.target.acquisition import Arrived
-from loopshape.toolbox.rig.target.armed import Armed, beat_s
-from loopshape.toolbox.rig.target.messages import Request
+from loopshape.toolbox.rig.target.armed import Armed, beat_s, reason_words
+from loopshape.toolbox.rig.target.messages import Request, State
 from loopshape.toolbox.rig.target.session import RefusedError
-from loopshape.toolbox.rig.target.target import record
+from loopshape.toolbox.rig.target.target import Keeper, record
 from loopshape.toolbox.rig.target.trial import Phase, Progress, Watch
 
 #: time constant with which a shift follows the difference of both controllers, and how many of them it is given
@@ -59,11 +59,24 @@ class OnTarget:
         def keeper(info: RecordingInfo, rate_hz: float, names: Sequence[str]) -> AbstractContextManager[Arrived]:
             return open_stream_log(folder, info.name, recording_table(info), rate_hz, names)
 
-        made, _ = record(self.armed, e, next(self._numbers), keeper, None)
+        if (made := self._made(e, keeper)) is None:
+            return None
         with self.thinking():
             add_recording(folder, made, again=True)
             adopted(folder, made.info.name)
         return made
+
+    def _made(self, e: Experiment, keeper: Keeper) -> Recording | None:
+        """The recording; once more where the line was too slow for it, None where the target went back before it."""
+        for again in (True, False):
+            try:
+                return record(self.armed, e, next(self._numbers), keeper, None)[0]
+            except RigError:
+                if self.progress().phase is Phase.WENT_BACK:
+                    return None
+                if not again or self.armed.session.status().state is not State.ARMED:
+                    raise
+        return None
 
     def _of(self, controller: Controller, name: str, longer: float) -> tuple[Study, Planned]:
         """The study and its one experiment with this controller in its loop, so many times as long."""
@@ -94,6 +107,11 @@ class OnTarget:
         watch = Watch(0.0, 0, 1, 1)
         if self.progress().phase is Phase.ON_TRIAL:
             self.armed.session.ask(Request.BLEND, watch.payload())
+
+    def fault(self) -> str:
+        """Why the machine stands still, "" where it does not."""
+        status = self.armed.session.status()
+        return f"the machine stopped{reason_words(status.fault)}" if status.state is State.FAULT else ""
 
     def thinking(self) -> AbstractContextManager[None]:
         """A thread says that the host is there."""

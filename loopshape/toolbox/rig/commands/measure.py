@@ -129,7 +129,7 @@ def record(
         study, out, controllers=found, effects=effects, port=port, again=again, states=states,
         verdict=verdict, allow_unverified=allow_unverified,
         escalate=False if escalate is None else escalate, until=until_in(until),
-        confirm=lambda motion: _confirmed(motion, arm, show, output), watch=output,
+        confirm=lambda motion: confirmed(motion, arm, show, output), watch=output,
     )  # fmt: skip
 
 
@@ -147,7 +147,7 @@ def until_in(word: str | None) -> Until | None:
         return Until(requirements=read_requirements(Path(word)))
 
 
-def _confirmed(motion: Motion, armed: bool, show: bool, output: Output) -> bool:
+def confirmed(motion: Motion, armed: bool, show: bool, output: Output) -> bool:
     """Show what is about to happen; nothing moves before a person confirms: --arm, or the word typed at a terminal."""
     from loopshape.core.errors import WrongUseError
 

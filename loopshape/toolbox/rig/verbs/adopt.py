@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ from loopshape.data.response.frf import FRF
 from loopshape.io.files import make_folder
 from loopshape.io.provenance import KEY, file_sha256, versions
 from loopshape.io.run.journal import note
-from loopshape.io.run.run_folder import alone
+from loopshape.io.run.run_folder import alone, read_run
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs
+from loopshape.toolbox.rig.adopt.advice import Advised, without_plant
+from loopshape.toolbox.rig.adopt.advice import advise as advise_of
 from loopshape.toolbox.rig.adopt.blend import track_share
 from loopshape.toolbox.rig.adopt.course import Adoption, Step, Trial, TrialSettings, ruled_out
 from loopshape.toolbox.rig.adopt.course import adopt as adopt_on
@@ -94,6 +97,50 @@ def adopt(
             return _tried(trial, machine, before, folder, watcher)
 
 
+def advise(
+    run: str | Path,
+    controller: Controller | str | Path,
+    *,
+    after: str | Path | None = None,
+    requirements: Sequence[Requirements] = (),
+    settings: TrialSettings | None = None,
+) -> Advised:
+    """From logs alone, whether a new controller may be tried (or, with `after`, kept): go, no go, or not decidable.
+
+    `run` is a run folder under the old controller, `after` one under the new one. Go: every share of the new controller
+    is stable on the measured plant, the requirements hold with their intervals, and a log under the new controller has
+    the predicted S and holds them too. No go: the data rule that out. Else not decidable, and `recipe` says what to
+    record. Misleads where the plant has changed since the logs: `adopt` measures that first.
+
+    Raises WrongUseError where the run does not know the loop of the controller, or which controller closed it.
+    """
+    whole = read_run(Path(run))
+    new = loop_controller(controller, [loop.name for loop in whole.loops])
+    old = whole.loop(new.loop).controller
+    if old is None:
+        raise WrongUseError(
+            f"the run does not say which controller closed loop {new.loop!r}", str(run), "write it into its run.toml"
+        )
+    R, words = required(new.loop, requirements), settings or TrialSettings()
+    try:
+        before = plants(Path(run), new.loop)
+        if not any(P.valid.any() for P in before):
+            raise WrongUseError("no frequency of the run's FRFs is valid", str(run))
+    except LoopshapeError as error:
+        return without_plant(whole, new.loop, str(error))
+    if after is None:
+        return advise_of(before, old, new, R, words)
+    later = Path(after)
+    return advise_of(before, old, new, R, words, read_run(later), _later(later, new))
+
+
+def _later(run: Path, new: Controller) -> tuple[FRF, ...]:
+    """FRFs under the new controller; none where nothing excites the loop."""
+    with suppress(LoopshapeError):
+        return tuple(P for P in plants(run, new.loop) if P.valid.any())
+    return ()
+
+
 def _tried(trial: Trial, machine: OnTarget, before: Sequence[FRF], folder: Path, watcher: Watch) -> Adoption:
     """The trial on an armed target, journaled; whatever ends it early vents, and what is over is disarmed."""
 
@@ -109,6 +156,8 @@ def _tried(trial: Trial, machine: OnTarget, before: Sequence[FRF], folder: Path,
         except LoopshapeError as error:
             note(folder, "fault", message=str(error))
             raise
+        if fault := machine.fault():
+            found = replace(found, reason=f"{found.reason}; {fault}")
         session.ask(Request.DISARM)
     note(folder, found.outcome.value, reason=found.reason)
     return found
