@@ -13,6 +13,7 @@ import numpy as np
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.outcomes import Agreement, Outcome
+from loopshape.core.units import from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
@@ -28,6 +29,10 @@ from loopshape.toolbox.rig.target.trial import Phase, Progress, Watch
 
 #: of so many periods more is a share's recording that decides nothing, once
 LONGER = 3.0
+#: a recording whose periods differ with a smaller p-value is of no one machine
+UNSTEADY = 1e-3
+#: stds by which a single line lies off what noise does to the worst of many
+SURE = 5.0
 
 
 class Adopted(StrEnum):
@@ -221,6 +226,8 @@ def adopt(trial: Trial, machine: Machine, before: Sequence[FRF], report: Report 
 def ruled_out(trial: Trial, before: Sequence[FRF]) -> str | None:
     """Why a step to the new controller, or it itself, is ruled out by FRFs; None where it is not."""
     for P in before:
+        if not P.valid.any():
+            continue
         found = trial.forecast(P)
         if found.outcome is Outcome.FAILED:
             return f"on the plant of {P.recording}, {found.reason}"
@@ -244,10 +251,10 @@ def _base(trial: Trial, machine: Machine) -> tuple[_Measured | None, Step]:
         with machine.thinking():
             try:
                 base = _Measured.of(recording, trial.loop, trial.old)
-            except LoopshapeError as error:
+                found = trial.forecast(base.P)
+            except LoopshapeError as error:  # nothing is known of the plant
                 why = str(error)
                 continue
-            found = trial.forecast(base.P)
         if found.outcome is Outcome.PASSED:
             return base, Step(0.0, "on the plant as it is now every share is stable and the requirements hold")
         why = f"on the plant as it is now, {found.reason}"
@@ -276,10 +283,10 @@ def _share(
         with machine.thinking():
             try:
                 measured = _Measured.of(recording, trial.loop, controller)
+                step = _judged(trial, replace(step, error_rms=measured.error_rms), predicted, measured)
             except LoopshapeError as error:
                 step = replace(step, reason=str(error))
                 continue
-            step = _judged(trial, replace(step, error_rms=measured.error_rms), predicted, measured)
         if step.outcome is not Adopted.UNDECIDED:
             return measured, step
     return None, step
@@ -299,8 +306,13 @@ def _judged(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) 
             else f", most from {worst.low_hz:.3g} to {worst.high_hz:.3g} Hz ({worst.sensitivity_db:+.2g} dB)"
         )
         return replace(step, reason=f"S is not the predicted one{where}", outcome=Adopted.WENT_BACK)
+    if (at_hz := larger_at(predicted.prediction.sensitivity, measured.S, 2.0 * settings.tolerance_db)) is not None:
+        why = f"|S| is more than {2.0 * settings.tolerance_db:g} dB above its prediction at {at_hz:.4g} Hz"
+        return replace(step, reason=why, outcome=Adopted.WENT_BACK)
     if found.outcome is Agreement.CANNOT_TELL:
         return replace(step, reason="the recording would not notice another S", outcome=Adopted.UNDECIDED)
+    if measured.periods.changed(settings.tolerance_db) < UNSTEADY:
+        return replace(step, reason="the machine changed while it was recorded", outcome=Adopted.UNDECIDED)
     left = tuple(one for one in settings.shares if one > step.share) or (1.0,)
     plant = trial.forecast(measured.P, left)
     last = step.share == settings.shares[-1]
@@ -310,3 +322,20 @@ def _judged(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) 
         return replace(step, reason=f"on the plant as it is now, {plant.reason}", outcome=Adopted.UNDECIDED)
     done = "the requirements hold under the new controller" if last else "the shares that are left are allowed"
     return replace(step, reason=f"S is as predicted, {done}", outcome=None)
+
+
+def larger_at(predicted: FRF, measured: FRF, by_db: float) -> float | None:
+    """The frequency at which a measured |S| is surely larger than a predicted one by more than so many dB, or None.
+
+    A resonance that moved is a line or two, which a comparison over bands that allows a rms deviation does not notice.
+    Refuses none: lines that only one of them has are left out.
+    """
+    f, i, j = np.intersect1d(predicted.frequency_hz, measured.frequency_hz, return_indices=True)
+    if not f.size:
+        return None
+    allowed = float(from_db(by_db))
+    more = np.abs(measured.siso[j]) - allowed * np.abs(predicted.siso[i])
+    std = np.hypot(np.sqrt(measured.variance[j, 0, 0]), allowed * np.sqrt(predicted.variance[i, 0, 0]))
+    sure = more / np.maximum(std, 1e-300)
+    k = int(np.argmax(sure))
+    return float(f[k]) if sure[k] > SURE else None

@@ -14,7 +14,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import Array, ComplexArray, from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.disturbance import Disturbance
@@ -22,6 +22,7 @@ from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.disturbed import disturbed
+from loopshape.loop.predict.agreement import tail
 from loopshape.toolbox.rig.target.trial import Watch
 
 #: room of a rms and of a peak beyond their prediction (`experiments/adopt` counts what it costs)
@@ -51,6 +52,27 @@ class Periods:
     lines: np.ndarray
     injection: str
     rate_hz: float
+    answers: ComplexArray
+    """What the error answers on the excited lines, period by period (periods, lines)."""
+
+    def changed(self, tolerance_db: float) -> float:
+        """p-value that a single period is another than the rest by no more than noise, and a rms change of |S|.
+
+        Each period against the mean of the others, their scatter as its variance (F with 2 and 2 (k - 2) degrees of
+        freedom on each line, their sum as in `agreement` and the largest alone), the smallest of all, by Bonferroni. 1 of fewer than four.
+        """
+        k = len(self.answers)
+        if k < 4:
+            return 1.0
+        slack, freedom, found = float(from_db(tolerance_db)) - 1.0, 2.0 * (k - 2), []
+        for one in range(k):
+            others = np.delete(self.answers, one, axis=0)
+            mean = others.mean(axis=0)
+            variance = np.sum(np.abs(others - mean) ** 2, axis=0) / (k - 2) * (1.0 + 1.0 / (k - 1))
+            q = np.abs(self.answers[one] - mean) ** 2 / np.maximum(variance + (slack * np.abs(mean)) ** 2, 1e-300)
+            x = 0.5 * freedom * np.log1p(2.0 * q / freedom)
+            found += [tail(x, 1.0), x.size * float(np.exp(-x.max()))]
+        return min(1.0, 2.0 * k * min(found))
 
     @classmethod
     def of(cls, recording: Recording, loop: LoopSetup) -> Periods:
@@ -81,7 +103,7 @@ class Periods:
         parts = [(x.mean(axis=0), rest * (x - x.mean(axis=0)).ravel()) for x in (e, z)]
         return cls(
             parts[0][0], parts[1][0], parts[0][1], parts[1][1], lines * rate_hz / period, n[lines], lines,
-            info.injection, rate_hz,
+            info.injection, rate_hz, np.fft.rfft(_joined(e))[:, lines],
         )  # fmt: skip
 
     def in_time(self, spectrum: ComplexArray) -> Array:
@@ -89,6 +111,13 @@ class Periods:
         whole = np.zeros(self.error.size // 2 + 1, dtype=complex)
         whole[self.lines] = spectrum
         return np.asarray(np.fft.irfft(whole, self.error.size))
+
+
+def _joined(blocks: Array) -> Array:
+    """Periods (k, n) without the line from where each begins to where the next does: what drifts leaks no more."""
+    last = blocks[-1, -1] + np.mean(blocks[1:, 0] - blocks[:-1, -1])
+    ends = np.append(blocks[1:, 0], last) - blocks[:, 0]
+    return np.asarray(blocks - ends[:, None] * np.arange(blocks.shape[1]) / blocks.shape[1])
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,101 @@
+"""Shares of two controllers as one: exact, and refused where the loop between two good ones is unstable."""
+
+import numpy as np
+import pytest
+
+import loopshape as ls
+from loopshape.toolbox.rig.adopt.blend import blended
+from loopshape.toolbox.rig.adopt.forecast import forecast
+
+RATE = 1000.0
+A, B = np.array([[1.0, 1e-3], [0.0, 0.97]]), np.array([0.0, 0.4])  # the axis of the target in Python
+R = ls.Requirements("axis1", sensitivity_peak_db=6.0, unstable_poles=0, integrators=1)
+
+
+def controller(*blocks):
+    return ls.controller(*blocks, rate_hz=RATE, loop="axis1")
+
+
+def drawn(rng):
+    """A controller of up to ten poles."""
+    blocks = [ls.gain(10.0 ** rng.uniform(-2, 3) * rng.choice([-1.0, 1.0]))]
+    blocks += [ls.pi(10.0 ** rng.uniform(-1, 1)) for _ in range(rng.integers(0, 2))]
+    blocks += [ls.lead_lag(10.0 ** rng.uniform(0, 1.5), 10.0 ** rng.uniform(0.5, 2.5)) for _ in range(rng.integers(3))]
+    for _ in range(rng.integers(0, 3)):
+        blocks.append(ls.notch(10.0 ** rng.uniform(1, 2.6), rng.uniform(0.0, 0.2), rng.uniform(0.1, 1.0)))
+    blocks += [ls.low_pass(10.0 ** rng.uniform(1.5, 2.6), order=1)] if rng.random() < 0.5 else []
+    return controller(*blocks)
+
+
+def radius(C):
+    """The largest |z| of the closed loop, by its matrix."""
+    rows = C.biquads()
+    size = 2 + 2 * len(rows)
+    M, value, states = np.zeros((size, size)), np.zeros(size), []
+    value[0] = -1.0
+    for k, (b0, b1, b2, a1, a2) in enumerate(rows):
+        one, two = np.eye(size)[2 + 2 * k], np.eye(size)[3 + 2 * k]
+        out = b0 * value + one
+        states += [b1 * value - a1 * out + two, b2 * value - a2 * out]
+        value = out
+    M[:2, :2] = A
+    M[:2] += np.outer(B, value)
+    M[2:] = states
+    return np.abs(np.linalg.eigvals(M)).max()
+
+
+def measured():
+    f = np.geomspace(0.2, 450.0, 400)
+    z = np.exp(2j * np.pi * f / RATE)
+    P = B[1] / RATE / ((z - 1.0) * (z - A[1, 1]))
+    return ls.FRF.from_arrays(f, P, relative_std=0.003, rate_hz=RATE, loop="axis1")
+
+
+def test_a_share_is_the_sum_of_both_responses():
+    f, rng = np.geomspace(0.01, 450.0, 200), np.random.default_rng(4)
+    for _ in range(100):
+        old, new, share = drawn(rng), drawn(rng), rng.uniform(0.05, 0.95)
+        parts = [(1.0 - share) * old.response(f), share * new.response(f)]
+        off = np.abs(blended(old, new, share).response(f) - sum(parts)) / sum(map(np.abs, parts))
+        assert off.max() < 1e-6
+
+
+def test_integrators_of_both_are_one():
+    slow, fast = (controller(ls.gain(k), ls.pi(f)) for k, f in ((1.0, 1.0), (2.0, 3.0)))
+    assert blended(slow, fast, 0.5).integrators() == 1
+    assert blended(controller(ls.gain(1.0)), fast, 0.5).integrators() == 1
+    assert (blended(slow, fast, 0.0), blended(slow, fast, 1.0)) == (slow, fast)
+
+
+def test_between_two_stable_loops_lies_an_unstable_one_and_it_is_refused():
+    """A controller with three integrators is stable by its gain: a quarter of it is too little."""
+    old = controller(ls.gain(0.2), ls.lead_lag(5.0, 61.0), ls.low_pass(200.0, order=1))
+    new = controller(ls.gain(6.267), ls.lead_lag(3.742, 161.96), ls.pi(7.115), ls.pi(6.488), ls.pi(2.915))
+    assert radius(old) < 1.0
+    assert radius(new) < 1.0
+    assert radius(blended(old, new, 0.25)) > 1.003
+    found = forecast(measured(), old, new, R)
+    assert found.verdict.passed
+    assert found.outcome == "failed"
+    assert (found.refused.share, found.refused.stability) == (0.25, "unstable")
+    assert found.reason.startswith("at a share of 0.25: the loop is unstable")
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+def test_between_two_loops_of_a_kind_all_is_stable_and_allowed(share):
+    old = controller(ls.gain(9.0), ls.lead_lag(5.0, 61.0), ls.low_pass(200.0, order=1))
+    new = controller(ls.gain(11.0), ls.lead_lag(5.0, 61.0), ls.low_pass(200.0, order=1), ls.pi(0.5))
+    assert radius(blended(old, new, share)) < 1.0
+    assert forecast(measured(), old, new, R, (share,)).outcome == "passed"
+
+
+def test_what_does_not_add_up_is_refused():
+    plain, other = controller(ls.gain(1.0)), ls.controller(ls.gain(1.0), rate_hz=500.0, loop="axis1")
+    late = ls.controller(ls.gain(1.0), rate_hz=RATE, loop="axis1", computation_delay_s=1e-3)
+    for new in (other, late):
+        with pytest.raises(ls.errors.WrongUseError, match="side by side"):
+            blended(plain, new, 0.5)
+    with pytest.raises(ls.errors.WrongUseError, match="between 0 and 1"):
+        blended(plain, plain, 1.5)
+    with pytest.raises(ls.errors.WrongUseError, match="cancel each other"):
+        blended(plain, controller(ls.gain(-1.0)), 0.5)
