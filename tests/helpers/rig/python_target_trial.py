@@ -1,4 +1,4 @@
-"""Trials of the target in Python, from docs/protocol.md alone: a second controller, how it takes over, what takes it back."""
+"""Trials of the target in Python, from docs/protocol.md alone: how a second controller takes over."""
 
 import math
 import struct

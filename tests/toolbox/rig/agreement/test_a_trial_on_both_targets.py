@@ -27,7 +27,7 @@ def bench():
 
 
 def recorded(bench, errors, trial, watch):
-    """z (n,) of loop 0, whose own controller is a gain of 1, while its r - y is these errors; the BLEND before the first."""
+    """z (n,) of loop 0, whose own controller is a gain of 1, while its r - y is these errors, from the BLEND on."""
     bench.arm(trial=trial)
     bench.ok(Request.BLEND, watch.payload())
     table = np.column_stack([-np.asarray(errors), np.full(len(errors), 0.5), np.full(len(errors), 0.5)])

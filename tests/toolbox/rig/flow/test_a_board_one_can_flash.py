@@ -132,7 +132,7 @@ def off_from_the_study(recording):
 
 @pytest.mark.long
 @pytest.mark.timeout(900)
-def test_measure_frf_tune_and_check_on_it(tmp_path, monkeypatch):
+def test_measure_frf_tune_check_and_adopt_on_it(tmp_path, monkeypatch):
     """The commands of the page, one after the other; the truth of the response is the axis' own equations."""
     needs_the_board()
     monkeypatch.chdir(tmp_path)
@@ -156,3 +156,8 @@ def test_measure_frf_tune_and_check_on_it(tmp_path, monkeypatch):
     checked = invoked(["check", "out", "controller.toml", "--require", "requirements.toml"])
     assert checked.exit_code == 0, checked.output
     assert "verdict: pass" in checked.output
+    with board() as (port, _):  # the new one takes over
+        words = ["--study", "axis.toml", "--require", "requirements.toml", "--port", port, "--out", "adopted", "--arm"]
+        tried = invoked(["adopt", "out", "controller.toml", *words])
+    assert tried.exit_code == 0, tried.output
+    assert "adopted: S is as predicted" in tried.output
