@@ -1,6 +1,5 @@
 """Trials of the target in Python, from docs/protocol.md alone: how a second controller takes over."""
 
-import math
 import struct
 from dataclasses import dataclass, field
 
@@ -94,12 +93,12 @@ class Trial:
         self.errors.append(error * error)
         total = sum(self.errors)
         if not total <= self.rms**2 * self.window:
-            return ERROR_RMS, math.sqrt(total / self.window), self.rms
+            return ERROR_RMS, total / self.window, self.rms**2
         if len(self.errors) == self.window:
             now, before, self.errors = total / self.window, self.before, []
             self.before = now
             self.rising = self.rising + 1 if before is not None and now > self.growth * before else 0
             if self.rising == 3:
-                return GROWTH, math.sqrt(now / before), math.sqrt(self.growth)
+                return GROWTH, now / before, self.growth
         age = float(self.ticks if self.age is None else self.age)
         return (LEASE, age, float(self.lease)) if 0 < self.lease <= age else None

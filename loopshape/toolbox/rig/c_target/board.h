@@ -38,7 +38,7 @@
  * The watchdog of the protocol counts ticks, so that it acts even if the main loop hangs, and the milliseconds of target_poll,
  * so that it acts in time where ticks come late; a board that runs as fast as it can goes by the milliseconds alone. Numbers: f64 arithmetic, by software where the machine has none (a
  * tick of two loops with eight sections is about 300 operations). No heap, no files, no operating system; <math.h> for
- * fabs, ceil, sqrt and isfinite alone.
+ * fabs, ceil and isfinite alone.
  */
 #ifndef LOOPSHAPE_BOARD_H
 #define LOOPSHAPE_BOARD_H

@@ -150,8 +150,8 @@ static uint8_t watch_square(double error, double *value, double *limit)
     t->sum += error * error;
     t->seen++;
     if (!(t->sum <= allowed * (double)w->window)) {
-        *value = sqrt(t->sum / (double)w->window);
-        *limit = w->error_rms;
+        *value = t->sum / (double)w->window;
+        *limit = allowed;
         return ERROR_RMS;
     }
     if (t->seen < w->window)
@@ -163,8 +163,8 @@ static uint8_t watch_square(double error, double *value, double *limit)
     t->rising = before >= 0.0 && now > w->growth * before ? (uint8_t)(t->rising + 1) : 0;
     if (t->rising < RISING)
         return NOTHING;
-    *value = sqrt(now / before);
-    *limit = sqrt(w->growth);
+    *value = now / before;
+    *limit = w->growth;
     return GROWTH;
 }
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
-from math import inf
+from math import inf, sqrt
 
 import numpy as np
 
@@ -100,7 +100,7 @@ class Watch:
 
 @dataclass(frozen=True)
 class Progress:
-    """Answer to PROGRESS: `ticks` since BLEND; `value` and `limit` of what took it back."""
+    """Answer to PROGRESS: `ticks` since BLEND; `value` and `limit` of what took it back, of mean squares their roots."""
 
     phase: Phase
     why: Why
@@ -113,8 +113,10 @@ class Progress:
     def read(cls, payload: bytes) -> Progress:
         """From the payload. Refuses another length, and a phase or reason that there is not."""
         try:
-            phase, why, *numbers = _PROGRESS.unpack(payload)
-            return cls(Phase(phase), Why(why), *numbers)
+            phase, why, ticks, share, value, limit = _PROGRESS.unpack(payload)
+            if why in (Why.ERROR_RMS, Why.GROWTH):
+                value, limit = sqrt(value), sqrt(limit)
+            return cls(Phase(phase), Why(why), ticks, share, value, limit)
         except (struct.error, ValueError):
             raise UnreadableInputError(
                 "the target says of a trial what the protocol does not have",
