@@ -1,10 +1,9 @@
-"""400 tunes tried by `adopt` on simulated machines, half of them bad: what was decided, against the true closed loop."""
+"""400 tunes tried by `adopt` on simulated machines, half of them bad: what was decided, against the true loop."""
 
 from __future__ import annotations
 
 import csv
 import sys
-import time
 import warnings
 from collections import Counter
 from contextlib import nullcontext
@@ -123,6 +122,7 @@ class Plant:
         return Plant(**{**self.words, "gain": self.gain, **words})
 
     def response(self, f):
+        """Position over force, hold and delay in it."""
         z = np.exp(2j * np.pi * f / RATE)
         G = np.linalg.solve(z[:, None, None] * np.eye(4) - self.A, np.broadcast_to(self.B[:, None], (z.size, 4, 1)))
         return G[:, 0, 0] * z ** -float(self.delay)
@@ -208,7 +208,8 @@ class Draw:
             self.file = good if "loaded" in self.bad else self.loaded
         moved = {"resonance moved": {"f_hz": f * (1.0 + sign * rng.uniform(0.1, 0.3))},
                  "delay grown": {"delay": first.delay + int(rng.integers(2, 7))},
-                 "changes under way": {"gain": factor} if rng.random() < 0.5 else {"f_hz": f * rng.uniform(0.6, 0.85)}}  # fmt: skip
+                 "changes under way": {"gain": factor} if rng.random() < 0.5
+                 else {"f_hz": f * rng.uniform(0.6, 0.85)}}  # fmt: skip
         if self.bad in moved:
             self.later = first.changed(**moved[self.bad])
             self.then = first if self.bad == "changes under way" else self.later
@@ -275,12 +276,14 @@ class Machine:
         self.ran(np.zeros(rest), np.zeros(rest), plants, 0 if change < 10**9 else 10**9)
         out = out[before : max(back, before + 1)] if back < n.size else out[before:]
         columns = {"t_s": np.arange(len(out)) / RATE, "reference_m": np.zeros(len(out)),
-                   "n_position_m": e.injected[: len(out), 0], "force_n": out[:, 1], "position_m": out[:, 0]}  # fmt: skip
+                   "n_position_m": e.injected[: len(out), 0], "force_n": out[:, 1],
+                   "position_m": out[:, 0]}  # fmt: skip
         e = replace(e, name=f"a{round(100 * share):03d}")
         info = RecordingInfo.of(e, None if len(out) == e.samples else "went back")
         return Recording(info, RATE, columns), e.loops[0]
 
     def record(self, share, controller, watch, longer):
+        """As the course asks; the change of a machine that changes under way falls into one share's recording."""
         d = self.draw
         plants = (d.then, d.later) if d.bad == "changes under way" else (d.later, d.later)
         if getattr(self, "changed", False):
@@ -307,6 +310,7 @@ class Machine:
                           watch.control_high, watch.error_rms, watch.growth]  # fmt: skip
 
     def progress(self):
+        """PROGRESS."""
         t = self.trial
         return Progress(Phase(int(t[PHASE])), Why(int(t[WHY])), int(t[TICKS]), t[SHARE], t[VALUE], t[AT_LIMIT])
 
@@ -319,10 +323,12 @@ class Machine:
         return self.progress()
 
     def back(self):
+        """To the old controller."""
         if self.trial[PHASE] == 2.0:
             self.trial[PHASE], self.trial[WHY], self.trial[SHARE] = 3.0, 6.0, 0.0
 
     def thinking(self):
+        """Nothing goes on meanwhile."""
         return nullcontext()
 
 
@@ -347,34 +353,32 @@ def tried(k):
     }  # fmt: skip
 
 
+def row_of(wrong, holds, mine):
+    """Of these draws how many ended how."""
+    ends = Counter(r["outcome"] for r in mine)
+    ticks = [r["ticks_to_go_back"] for r in mine if r["ticks_to_go_back"] != ""]
+    largest = max((r["largest_of_limit_percent"] for r in mine), default="")
+    by_target = sum(bool(r["by_target"]) for r in mine)
+    return (wrong, holds, len(mine), *(ends[one.value] for one in Adopted), by_target, max(ticks, default=""), largest)
+
+
 def main(draws):
+    """All draws, and their table."""
     rows = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         for k in range(draws):
             rows.append(tried(k))
-            print(round(time.time() % 1e5), *rows[-1].values(), flush=True)
+            print(*rows[-1].values(), flush=True)
     write("draws.csv", list(rows[0]), [list(row.values()) for row in rows])
-    table = []
-    for wrong in ("none", *BAD):
-        for holds in (True, False):
-            mine = [row for row in rows if row["wrong"] == wrong and row["holds"] == holds]
-            if not mine:
-                continue
-            ends = Counter(row["outcome"] for row in mine)
-            ticks = [row["ticks_to_go_back"] for row in mine if row["ticks_to_go_back"] != ""]
-            table.append((wrong, holds, len(mine), *(ends[one.value] for one in Adopted),
-                          sum(bool(row["by_target"]) for row in mine), max(ticks, default=""),
-                          max(row["largest_of_limit_percent"] for row in mine)))  # fmt: skip
-    bad = [row for row in rows if not row["holds"]]
-    good = [row for row in rows if row["holds"] and "loaded" not in row["wrong"]]
-    table.append(("all that hold and were checked", True, len(good), *(sum(r["outcome"] == o.value for r in good) for o in Adopted),
-                  sum(bool(r["by_target"]) for r in good), "", max(r["largest_of_limit_percent"] for r in good)))  # fmt: skip
-    table.append(("all that do not", False, len(bad), *(sum(r["outcome"] == o.value for r in bad) for o in Adopted),
-                  sum(bool(r["by_target"]) for r in bad), "", max(r["largest_of_limit_percent"] for r in bad)))  # fmt: skip
+    kinds = [(wrong, holds) for wrong in ("none", *BAD) for holds in (True, False)]
+    table = [row_of(*kind, [r for r in rows if (r["wrong"], r["holds"]) == kind]) for kind in kinds]
+    good = [r for r in rows if r["holds"] and "loaded" not in r["wrong"]]
+    table.append(row_of("all that hold and were checked", True, good))
+    table.append(row_of("all that do not", False, [r for r in rows if not r["holds"]]))
     columns = ("what_is_wrong", "holds", "draws", "adopted", "went_back", "undecided", "refused", "back_by_the_target",
                "most_ticks_to_go_back", "largest_of_limit_percent")  # fmt: skip
-    write("tunes.csv", columns, table)
+    write("tunes.csv", columns, [row for row in table if row[2]])
 
 
 def write(name, columns, rows):

@@ -30,9 +30,11 @@ from loopshape.toolbox.rig.target.trial import Phase, Progress, Watch
 #: of so many periods more is a share's recording that decides nothing, once
 LONGER = 3.0
 #: a recording whose periods differ with a smaller p-value is of no one machine
-UNSTEADY = 1e-3
+UNSTEADY = 1e-4
 #: stds by which a single line lies off what noise does to the worst of many
 SURE = 5.0
+#: z this far off what a controller gives is that of another one
+OTHER = 0.1
 
 
 class Adopted(StrEnum):
@@ -295,6 +297,9 @@ def _share(
 def _judged(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) -> Step:
     """Whether S is what was predicted, and this recording's own plant allows what is left."""
     settings = trial.settings
+    if (off := measured.periods.off_from(trial.at(step.share))) > OTHER:
+        why = f"z is not what this share of the new controller gives: off by {100.0 * off:.2g} %"
+        return replace(step, reason=why, outcome=Adopted.WENT_BACK)
     level = 1.0 - (1.0 - settings.level) ** (1.0 / len(settings.shares))
     found = compare(predicted.prediction, measured.S, level=level, tolerance_db=settings.tolerance_db)
     step = replace(step, comparison=found)

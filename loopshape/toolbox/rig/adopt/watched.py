@@ -54,12 +54,27 @@ class Periods:
     rate_hz: float
     answers: ComplexArray
     """What the error answers on the excited lines, period by period (periods, lines)."""
+    input_lines: ComplexArray
+    control_lines: ComplexArray
+    """The controller's input and z on these lines (lines,), in the mean period."""
+
+    def off_from(self, controller: Controller) -> float:
+        """How far z lies off this controller's answer to its input, relative: median of five lines, where it is most.
+
+        Both are logged by the same program: what differs is another controller, or another order of signals.
+        """
+        wanted = controller.response(self.frequency_hz) * self.input_lines
+        off = np.abs(self.control_lines - wanted) / np.maximum(np.abs(wanted), 1e-300)
+        if off.size < 5:
+            return float(np.median(off))
+        return float(np.median(np.lib.stride_tricks.sliding_window_view(off, 5), axis=1).max())
 
     def changed(self, tolerance_db: float) -> float:
         """p-value that a single period is another than the rest by no more than noise, and a rms change of |S|.
 
         Each period against the mean of the others, their scatter as its variance (F with 2 and 2 (k - 2) degrees of
-        freedom on each line, their sum as in `agreement` and the largest alone), the smallest of all, by Bonferroni. 1 of fewer than four.
+        freedom on each line, their sum as in `agreement` and the largest alone), the smallest of all, by Bonferroni.
+        1 of fewer than four periods.
         """
         k = len(self.answers)
         if k < 4:
@@ -100,10 +115,13 @@ class Periods:
         lines = np.flatnonzero(np.abs(n) > 1e-6 * np.abs(n[1:]).max())
         lines = lines[(lines > 0) & (lines < period // 2)]
         rest = np.sqrt(count / (count - 1.0))
+        at_input = info.injection == "controller_input" and loop.injected is not None
+        inputs = e + blocks(recording.column(str(loop.injected))) if at_input else e
         parts = [(x.mean(axis=0), rest * (x - x.mean(axis=0)).ravel()) for x in (e, z)]
         return cls(
             parts[0][0], parts[1][0], parts[0][1], parts[1][1], lines * rate_hz / period, n[lines], lines,
             info.injection, rate_hz, np.fft.rfft(_joined(e))[:, lines],
+            *(np.fft.rfft(_joined(x))[:, lines].mean(axis=0) for x in (inputs, z)),
         )  # fmt: skip
 
     def in_time(self, spectrum: ComplexArray) -> Array:

@@ -100,7 +100,7 @@ class Watch:
 
 @dataclass(frozen=True)
 class Progress:
-    """Answer to PROGRESS: `ticks` since BLEND; `value` and `limit` of what took it back, of mean squares their roots."""
+    """Answer to PROGRESS: `ticks` since BLEND; `value` and `limit` of what took it back (roots of mean squares)."""
 
     phase: Phase
     why: Why

@@ -179,10 +179,8 @@ duration_s = 4.0
 
 
 def test_the_command_says_it_and_its_exit_code(run, study, tmp_path):
-    from loopshape.io.write.controllers import write_controllers
-
     for name, gain in (("good", 11.0), ("bad", 36.0)):
-        write_controllers(tmp_path / f"{name}.toml", [new(gain)])
+        ls.write(new(gain), tmp_path / f"{name}.toml")
     (tmp_path / "required.toml").write_text(
         'format = "loopshape-requirements/1"\n[[loop]]\nname = "axis1"\nsensitivity_peak_db = 6.0\n'
         "unstable_poles = 0\nintegrators = 1\n"
