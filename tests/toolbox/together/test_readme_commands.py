@@ -16,7 +16,7 @@ import loopshape as ls
 
 ROOT = Path(__file__).parents[3]
 README = (ROOT / "README.md").read_text()
-HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap", "machine")]
+HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap", "machine", "adopt")]
 PAGES = "\n".join([README, *(page.read_text() for page in HOW_TO)])
 
 
@@ -32,13 +32,13 @@ def blocks() -> dict[str, str]:
     ["tour", "own", "careful",
      *(pytest.param(name, marks=pytest.mark.hour) for name in ("rig", "arm", "several", "gap")),
      pytest.param("machine", marks=pytest.mark.timeout(900)),
-     pytest.param("board", marks=[pytest.mark.hour, pytest.mark.timeout(900)])],
+     *(pytest.param(name, marks=[pytest.mark.hour, pytest.mark.timeout(900)]) for name in ("board", "adopt"))],
 )  # fmt: skip
 def test_block_runs(name: str, tmp_path: Path) -> None:
     shutil.copytree(ROOT / "examples", tmp_path / "examples")
     here = Path(sys.executable).parent
     script = blocks()[name].replace("$PWD/.venv/bin", str(here))
-    if name in ("rig", "board"):
+    if name in ("rig", "board", "adopt"):
         for program in ("cc",) if name == "rig" else ("arm-none-eabi-gcc", "qemu-system-arm", "make"):
             if shutil.which(program) is None:
                 pytest.skip(f"there is no {program}, which the emulator needs")
@@ -58,6 +58,8 @@ def test_block_runs(name: str, tmp_path: Path) -> None:
         assert "no motion; --arm lets it move" in done.stdout
         assert "every file is what was written" in done.stdout
         assert "the target is in state idle" in done.stdout
+    elif name == "adopt":
+        assert "adopted: S is as predicted" in done.stdout
     elif name == "careful":
         assert "enough for a verdict on these requirements (pass)" in done.stdout
     elif name == "gap":

@@ -220,7 +220,7 @@ def adopt(trial: Trial, machine: Machine, before: Sequence[FRF], report: Report 
             return end(step.outcome or Adopted.UNDECIDED, step.reason)
         last, under = last_or_none, trial.at(share)
     kept = machine.keep(replace(steps[-1].watch or Watch(1.0, 0, 0, 1), ramp=0, lease=0))
-    if kept.phase is not Phase.KEPT:
+    if kept.phase is not Phase.STAYS:
         return end(Adopted.WENT_BACK, went_back_words(kept))
     return end(Adopted.ADOPTED, step.reason, trial.new)
 
@@ -285,7 +285,7 @@ def _share(
         with machine.thinking():
             try:
                 measured = _Measured.of(recording, trial.loop, controller)
-                step = _judged(trial, replace(step, error_rms=measured.error_rms), predicted, measured)
+                step = _tested(trial, replace(step, error_rms=measured.error_rms), predicted, measured)
             except LoopshapeError as error:
                 step = replace(step, reason=str(error))
                 continue
@@ -294,7 +294,7 @@ def _share(
     return None, step
 
 
-def _judged(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) -> Step:
+def _tested(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) -> Step:
     """Whether S is what was predicted, and this recording's own plant allows what is left."""
     settings = trial.settings
     if (off := measured.periods.off_from(trial.at(step.share))) > OTHER:

@@ -164,12 +164,12 @@ def watch_of(
     chance = _chance(rest, window / periods.rate_hz)
     crests = [max(CREST, 1.2 * _crest(x)) for x in (periods.error_rest, periods.control_rest)]
     square = RMS_ROOM**2 * (error.answer_rms**2 + error.high**2 * (1.0 + CHANCE * chance) + mean_error**2)
-    reach = PEAK_ROOM * (control.answer_peak + crests[1] * control.high)
+    width = PEAK_ROOM * (control.answer_peak + crests[1] * control.high)
     middle = float(np.mean(periods.control))
     watch = Watch(
         share, round(ramp_s * periods.rate_hz), round(lease_s * periods.rate_hz), window,
         error_peak=PEAK_ROOM * (error.answer_peak + crests[0] * error.high + abs(mean_error)),
-        control_low=middle - reach, control_high=middle + reach,
+        control_low=middle - width, control_high=middle + width,
         error_rms=float(np.sqrt(square)), growth=max(GROWTH, 1.0 + CHANCE * chance),
     )  # fmt: skip
     return watch, Expected(error.interval, control.interval)

@@ -34,7 +34,9 @@ def adopt(
     as_json: AsJson = False,
     quiet: Quiet = False,
 ) -> None:
-    """Try a new controller share by share and adopt it, or go back; without a port ask logs: go, no go, not decidable.
+    """Let a new controller take over share by share, or go back.
+
+    Without a port logs alone are asked: go, no go, or not decidable with what to record.
 
     Exit code 0 where it is adopted (or go), 1 where not, 2 wrong use.
     """

@@ -23,7 +23,7 @@ class Phase(IntEnum):
     OWN = 1
     ON_TRIAL = 2
     WENT_BACK = 3
-    KEPT = 4
+    STAYS = 4
 
 
 class Why(IntEnum):

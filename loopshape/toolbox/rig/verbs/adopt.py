@@ -70,6 +70,16 @@ def adopt(
     changes after the last recording.
 
     Raises WrongUseError for a target that does not take trials or was not armed, RigError for a lost line.
+
+    Examples
+    --------
+    >>> import loopshape as ls
+    >>> C = ls.controller(ls.gain(2.0), rate_hz=1000.0, loop="axis")
+    >>> try:
+    ...     ls.rig.adopt("runs/axis", C, "nowhere.toml", "out")
+    ... except ls.LoopshapeError as error:
+    ...     print(str(error).split(";")[0])
+    a file does not exist
     """
     file, folder, watcher = Path(study), Path(out), watch or Unwatched()
     wanted, plant = asked_study(file, controllers, ())
@@ -113,6 +123,16 @@ def advise(
     record. Misleads where the plant has changed since the logs: `adopt` measures that first.
 
     Raises WrongUseError where the run does not know the loop of the controller, or which controller closed it.
+
+    Examples
+    --------
+    >>> import loopshape as ls
+    >>> C = ls.controller(ls.gain(2.0), rate_hz=1000.0, loop="axis")
+    >>> try:
+    ...     ls.rig.advise("nowhere", C)
+    ... except ls.LoopshapeError as error:
+    ...     print(str(error).split(";")[0])
+    a run is a folder
     """
     whole = read_run(Path(run))
     new = loop_controller(controller, [loop.name for loop in whole.loops])

@@ -169,5 +169,5 @@ def test_what_a_target_refuses(bench, target):
         bench.tick(1)
         assert bench.no(Request.BEGIN, start_payload(3, 5, 2, 2, 0, False)) == 3  # open loops
     one.ok(Request.BLEND, Watch(1.0, 0, 0, 1).payload())
-    assert Progress.read(one.ok(Request.PROGRESS)).phase is Phase.KEPT
+    assert Progress.read(one.ok(Request.PROGRESS)).phase is Phase.STAYS
     assert one.no(Request.BLEND, wide) == 1
