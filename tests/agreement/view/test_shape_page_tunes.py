@@ -72,7 +72,10 @@ def test_a_drag_of_the_bandwidth_scales_then_tunes_and_is_one_step_back(context:
     page.mouse.down()
     page.mouse.move(box["x"] + 0.72 * box["width"], box["y"] + 0.5 * box["height"])
     page.locator("#message", has_text="let go to tune").wait_for()
-    scaled, wanted = page.evaluate("loopshape.state.controller"), float(page.locator("#bandwidth ~ output").inner_text())
+    scaled, wanted = (
+        page.evaluate("loopshape.state.controller"),
+        float(page.locator("#bandwidth ~ output").inner_text()),
+    )
     page.mouse.up()
     page.locator("#message", has_text="all that is required").wait_for()
     made = controller_from(page.evaluate("loopshape.state.controller"))

@@ -16,7 +16,9 @@ import loopshape as ls
 
 ROOT = Path(__file__).parents[3]
 README = (ROOT / "README.md").read_text()
-HOW_TO = [ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap", "machine", "adopt")]
+HOW_TO = [
+    ROOT / "docs" / f"{name}.md" for name in ("tour", "own", "rig", "ci", "arm", "several", "gap", "machine", "adopt")
+]
 PAGES = "\n".join([README, *(page.read_text() for page in HOW_TO)])
 
 

@@ -133,7 +133,7 @@ class Running:
         of it, within the rate.
         """
         value, first = self.kind(error), len(self.rows) - self.law.integrating
-        output = min(max(self.kind(output), self.low), self.high)
+        output = float(min(max(self.kind(output), self.low), self.high))
         for k, ((b0, b1, b2, a1, a2), s) in enumerate(zip(self.rows, self.states, strict=True)):
             out = self.kind(output)
             if k < first:
