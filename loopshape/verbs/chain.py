@@ -313,37 +313,28 @@ def point_disturbances(
 
 @overload
 def shape(
-    P: Plants | Mapping[str, FRF],
-    C: Controller | Tuning | Sequence[Controller] | None = None,
-    R: Requirements | Sequence[Requirements] | None = None,
-    out: str | Path = "shape.html",
-    *,
-    fits: Sequence[Fit] = (),
-    together: Requirements | None = None,
-) -> Path: ...
+    P: Plants | Mapping[str, FRF], C: Controller | Tuning | Sequence[Controller] | None = None,
+    R: Requirements | Sequence[Requirements] | None = None, out: str | Path = "shape.html", *,
+    fits: Sequence[Fit] = (), together: Requirements | None = None,
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
+) -> Path: ...  # fmt: skip
 
 
 @overload
 def shape(
-    P: Plants | Mapping[str, FRF],
-    C: Controller | Tuning | Sequence[Controller] | None,
-    R: Requirements | Sequence[Requirements] | None,
-    out: None,
-    *,
-    fits: Sequence[Fit] = (),
-    together: Requirements | None = None,
-) -> ShapeWidget: ...
+    P: Plants | Mapping[str, FRF], C: Controller | Tuning | Sequence[Controller] | None,
+    R: Requirements | Sequence[Requirements] | None, out: None, *,
+    fits: Sequence[Fit] = (), together: Requirements | None = None,
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
+) -> ShapeWidget: ...  # fmt: skip
 
 
 def shape(
-    P: Plants | Mapping[str, FRF],
-    C: Controller | Tuning | Sequence[Controller] | None = None,
-    R: Requirements | Sequence[Requirements] | None = None,
-    out: str | Path | None = "shape.html",
-    *,
-    fits: Sequence[Fit] = (),
-    together: Requirements | None = None,
-) -> Path | ShapeWidget:
+    P: Plants | Mapping[str, FRF], C: Controller | Tuning | Sequence[Controller] | None = None,
+    R: Requirements | Sequence[Requirements] | None = None, out: str | Path | None = "shape.html", *,
+    fits: Sequence[Fit] = (), together: Requirements | None = None,
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
+) -> Path | ShapeWidget:  # fmt: skip
     """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
 
     With None for `out` it is a widget instead, for the cell of a notebook (extra `notebook`): its `controller` and
@@ -352,7 +343,8 @@ def shape(
     `P`: an FRF, several, or a mapping from operating points to FRFs. Shaping starts from `C` (default: a gain
     of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
     `fits` it draws the step of each fit's loop. Several controllers (and requirements) are of the loops of a matrix
-    FRF: each is shaped on the plant that it meets with the others closed; `together` declares that plant's poles.
+    FRF: each is shaped on the plant that it meets with the others closed; `together` declares that plant's poles. With
+    what disturbs a single loop (`disturbance`, as of `check`) the page tells rms of error and input under each design.
     Raises WrongUseError as `check` does.
 
     Examples
@@ -369,7 +361,8 @@ def shape(
     plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
     required, together = required_of(R, together)
     own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,)) if one is not None]
-    loops = ShapedLoops(plants, tuple(required), together, fits=tuple(fits))
+    disturbed = point_disturbances(disturbance, plants[0].loop)
+    loops = ShapedLoops(plants, tuple(required), together, fits=tuple(fits), disturbances=disturbed)
     if out is None:
         return notebook_widget(loops, own, "Shape")
     write_page(Path(out), loops.sessions(own), "Shape")

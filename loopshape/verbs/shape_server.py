@@ -109,12 +109,8 @@ class ShapeServer:
             return does[name](self.loops[loop], asked)
 
     def _check(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
-        verdict = check(
-            one.frfs,
-            controller_from(asked["controller"]),
-            one.of_plant(requirements_from(asked["requirements"])),
-            one.fits,
-        )
+        controller, required = controller_from(asked["controller"]), requirements_from(asked["requirements"])
+        verdict = check(one.frfs, controller, one.of_plant(required), one.fits, disturbances=one.disturbances)
         return {"certificate": certificate_words(verdict), "words": repr(verdict)}
 
     def _tune(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
@@ -123,7 +119,7 @@ class ShapeServer:
         start = controller_from(asked["controller"])
         structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
         required = replace(one.of_plant(requirements_from(asked["requirements"])), structure=structure)
-        found = tune(one.frfs, required, one.fits, start=start, starts=1)
+        found = tune(one.frfs, required, one.fits, start=start, starts=1, disturbances=one.disturbances)
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
 

@@ -15,6 +15,7 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops, equivalent_plants, matrix_loops, unstable_poles_met
 from loopshape.loop.verdict import check
@@ -26,14 +27,16 @@ if TYPE_CHECKING:
 
 
 def shaped(
-    frfs: Sequence[FRF], controller: Controller | None, requirements: Requirements | None, fits: Sequence[Fit]
-) -> ShapingSession:
+    frfs: Sequence[FRF], controller: Controller | None, requirements: Requirements | None, fits: Sequence[Fit],
+    disturbances: Sequence[Disturbance] = (),
+) -> ShapingSession:  # fmt: skip
     """A loop with what a check says of where its shaping starts: the controller, or a gain of 1."""
     if not frfs:
         raise WrongUseError("there is no FRF to shape a loop on", "none", "estimate one: loopshape frf RUN")
     start = controller or _gain_of_one(frfs[0])
     required = requirements or Requirements(start.loop)
-    return ShapingSession(tuple(frfs), start, required, tuple(fits), check(frfs, start, required, fits))
+    verdict = check(frfs, start, required, fits, disturbances=disturbances)
+    return ShapingSession(tuple(frfs), start, required, tuple(fits), verdict, disturbances=tuple(disturbances))
 
 
 def _gain_of_one(frf: FRF) -> Controller:
@@ -53,6 +56,7 @@ class ShapedLoops:
     together: Requirements | None = None
     recorded_under: tuple[Controller, ...] = ()
     fits: tuple[Fit, ...] = ()
+    disturbances: tuple[Disturbance, ...] = ()
 
     def sessions(self, controllers: Sequence[Controller]) -> list[ShapingSession]:
         """Each loop on the plant that it meets while the others are closed by these controllers."""
@@ -60,8 +64,9 @@ class ShapedLoops:
             required = (*self.requirements, None)[0]
             if self.together is not None:
                 required = (required or Requirements()).with_all(self.together)
-            return [shaped(self.frfs, (*controllers, None)[0], required, self.fits)]
+            return [shaped(self.frfs, (*controllers, None)[0], required, self.fits, self.disturbances)]
         names = [one.loop for one in controllers]
+        _refuse_disturbed(self.disturbances)
         closed = closed_loops(self.frfs, controllers, names, self.recorded_under)
         loops, _ = matrix_loops(closed, (self.together or Requirements()).of_all())
         return [self._one(own, controllers, loops) for own in controllers]
@@ -78,8 +83,14 @@ class ShapedLoops:
         closed = [one.loop for one in controllers] if len(controllers) > 1 else None
         return check(
             self.frfs, controllers, requirements, self.fits, together=self.together, closed=closed,
-            recorded_under=self.recorded_under,
+            recorded_under=self.recorded_under, disturbances=self.disturbances,
         )  # fmt: skip
+
+
+def _refuse_disturbed(given: object) -> None:
+    if given:
+        what = "the page tells what becomes of a disturbance under one loop's controller"
+        raise WrongUseError(what, "several loops and a disturbance", "take one loop alone, or check all of them")
 
 
 def page_of(loops: Sequence[ShapingSession], title: str, saved: str | None = None) -> bytes:
@@ -107,13 +118,16 @@ def write_page(path: Path, loops: Sequence[ShapingSession], title: str) -> int:
     return len(data)
 
 
-def matrix_run(run: Path, require: Path | None, controller: Path | None) -> tuple[ShapedLoops, list[ShapingSession]]:
+def matrix_run(
+    run: Path, require: Path | None, controller: Path | None, disturbance: Path | None = None
+) -> tuple[ShapedLoops, list[ShapingSession]]:
     """Loops of a controller file, one at a time with the others closed, on a run's matrices."""
     from loopshape.io.requirements import read_required
     from loopshape.io.write.check_files import recorded_under
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.frfs import read_all_loops
 
+    _refuse_disturbed(disturbance)
     if controller is None:
         what = "loops are closed by their controllers"
         raise WrongUseError(what, "--matrix alone", "give them by --controller FILE")
@@ -122,9 +136,13 @@ def matrix_run(run: Path, require: Path | None, controller: Path | None) -> tupl
     return made, made.sessions(read_controllers(controller))
 
 
-def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[ShapingSession]:
+def shape_run(
+    run: Path, require: Path | None, controller: Path | None, disturbance: Path | None = None
+) -> list[ShapingSession]:
     """Loops of a requirements file, else those of a controller file, else all that have an FRF."""
+    from loopshape.identify.disturbance import disturbances_in
     from loopshape.io.requirements import read_requirements
+    from loopshape.io.run.run_folder import read_run
     from loopshape.io.write.controllers import read_controllers
     from loopshape.io.write.fits import fits_of
     from loopshape.io.write.frfs import read_frfs
@@ -142,4 +160,6 @@ def shape_run(run: Path, require: Path | None, controller: Path | None) -> list[
             "give files of this run's loops",
         )
     mine = {name: [frf for frf in frfs if frf.loop == name] for name in names}
-    return [shaped(mine[name], controllers.get(name), required.get(name), fits) for name in names]
+    still = None if disturbance is None else read_run(disturbance)
+    known = {name: disturbances_in(still, name) if still else () for name in names}
+    return [shaped(mine[name], controllers.get(name), required.get(name), fits, known[name]) for name in names]

@@ -23,13 +23,15 @@ def shape(
     matrix: Annotated[
         bool, typer.Option("--matrix", help="One loop at a time with the others closed, on the run's matrices.")
     ] = False,
+    disturbance: Annotated[
+        Path | None, typer.Option(help="A recording of the loop without excitation: the page tells rms of the error.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: shape.html in the run.")] = None,
     serve: Annotated[
-        bool,
-        typer.Option("--serve", help="Serve the page on this machine alone, with check, tune and save."),
+        bool, typer.Option("--serve", help="Serve the page on this machine alone, with check, tune and save.")
     ] = False,
     save: Annotated[
-        Path | None, typer.Option(help="With --serve: where Save writes; default: controller.toml in the run.")
+        Path | None, typer.Option(help="With --serve: where Save writes; default: controller.toml.")
     ] = None,
     as_json: AsJson = False,
     quiet: Quiet = False,
@@ -43,7 +45,11 @@ def shape(
     with output.progress("shape", 1):
         from loopshape.verbs.shaping import matrix_run, shape_run, write_page
 
-        several, loops = matrix_run(run, require, controller) if matrix else (None, shape_run(run, require, controller))
+        several, loops = (
+            matrix_run(run, require, controller, disturbance)
+            if matrix
+            else (None, shape_run(run, require, controller, disturbance))
+        )
     if serve:
         _serve(loops, run.resolve().name, save or run / "controller.toml", several)
         return

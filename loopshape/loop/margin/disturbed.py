@@ -144,7 +144,8 @@ class OneOfSeveral(Disturbance):
     carried: Carried | None = None
 
 
-def _carried(loop: Loop, disturbance: Disturbance) -> Carried:
+def carried(loop: Loop, disturbance: Disturbance) -> Carried:
+    """What disturbs a loop, carried over to its controller. Raises WrongUseError for another rate."""
     if isinstance(disturbance, OneOfSeveral) and disturbance.carried is not None:
         return disturbance.carried
     rate_hz = loop.controller.rate_hz
@@ -208,13 +209,13 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     `control_range` are the actuator's ends in the input's unit. Where the loop runs away as it saturates nothing but
     `saturation_percent` is read.
     """
-    carried, rate_hz = _carried(loop, disturbance), loop.controller.rate_hz
+    found, rate_hz = carried(loop, disturbance), loop.controller.rate_hz
     samples = disturbance.duration_s * rate_hz
     own = _recorded(loop, disturbance)
     signals = (own.error, own.control, own_rate := np.diff(own.control) * rate_hz, np.zeros(0))
     bursts = [1.0 if disturbance.repeats else _bursts(x) for x in signals]
-    weights = zip(_weights(carried, rate_hz), bursts, strict=True)
-    error, control, rate, jerk = (carried.through(*both) for both in weights)
+    weights = zip(_weights(found, rate_hz), bursts, strict=True)
+    error, control, rate, jerk = (found.through(*both) for both in weights)
     moving = slice(0, own.error.size // 2)
     if disturbance.repeats:
         error, control = error.of_size(own.error[moving]), control.of_size(own.control[moving])
@@ -232,13 +233,13 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
         changed = _changed(loop, control, actuator, records, counted=unlike or disturbance.repeats)
         readings["saturation_percent"] = _saturation(control, actuator, changed)
         if any(one.away for one in changed):
-            return Disturbed(readings, carried.outside(), away=True)
+            return Disturbed(readings, found.outside(), away=True)
     readings["error_rms"] = _rms(error, [one.error for one in changed])
     readings["control_rms"] = _rms(control, [one.control for one in changed])
     if samples > 0.0:
         readings["control_peak"] = peaks[0].reading([one.peak for one in changed])
         readings["control_rate"] = peaks[1].reading([one.rate for one in changed])
-    return Disturbed(readings, carried.outside(), unlike=unlike)
+    return Disturbed(readings, found.outside(), unlike=unlike)
 
 
 class _Weights(NamedTuple):

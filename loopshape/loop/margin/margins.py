@@ -332,17 +332,8 @@ def _with_intervals(
     """Each column freed of its bias, with the ends of its interval."""
     if j.deviations is None or j.reference is None or j.factor is None:
         return found, found, found
-    drawn = reader.read_drawn(
-        j.f,
-        j.reference,
-        j.factor,
-        j.deviations,
-        j.C,
-        loop.above_hz,
-        loop.C_above,
-        bounded=bounded,
-        least=loop.largest_above,
-    )
+    draws, above = (j.f, j.reference, j.factor, j.deviations, j.C), (loop.above_hz, loop.C_above)
+    drawn = reader.read_drawn(*draws, *above, bounded=bounded, least=loop.largest_above)
     reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
     if j.drowned:
         return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)

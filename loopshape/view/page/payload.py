@@ -9,6 +9,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.detuning import SEARCHED_PERCENT, WARNED_PERCENT
 from loopshape.data.result.verdict import Verdict
+from loopshape.data.signal.disturbance import Disturbance
 from loopshape.identify.smooth import smoothing
 from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
@@ -33,6 +35,7 @@ from loopshape.loop import detuning, shifted
 from loopshape.loop.loop import Loop, known_above, reach_above
 from loopshape.loop.loops import loops_of
 from loopshape.loop.margin import between, margins
+from loopshape.loop.margin.disturbed import carried, of_points
 from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
@@ -46,6 +49,8 @@ _LIMIT = ("name", "sense", "unit", "label", "plot", "scale", "asked", "crossing"
 #: limits that the page reads without a column; of the columns it knows those before this one
 _WITHOUT_COLUMN, _COLUMNS = ("controller_bandwidth_hz", "detuning_percent"), kernel.LN_WEIGHTED
 FORMAT = "loopshape-shape/1"
+#: so many lines of a disturbance at most: a page stays below a megabyte for each operating point
+MOST_LINES = 8192
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +78,7 @@ class ShapingSession:
     fits: tuple[Fit, ...]
     verdict: Verdict
     others: ClosedLoops | None = None
+    disturbances: tuple[Disturbance, ...] = ()
 
     def of_plant(self, required: Requirements) -> Requirements:
         """The requirements of the equivalent plant."""
@@ -123,28 +129,18 @@ def _constants() -> dict[str, Any]:
         "same": stability.SAME,
         "least_damping": holes.LEAST_DAMPING,
         "poor_damping": holes.POOR_DAMPING,
-        "radius_95": obstacles.RADIUS_95,
-        "wrong": obstacles.WRONG,
-        "uncertain_ratio": obstacles.UNCERTAIN_RATIO,
-        "on_it": obstacles.ON_IT,
+        **_numbers(obstacles, "radius_95 wrong uncertain_ratio on_it peak scatter"),
+        **_numbers(between, "step small most wide far rounds"),
         "between": dense.BETWEEN,
         "fewest": dense.FEWEST,
         "lowest": dense.LOWEST,
         "steepest": dense.STEEPEST,
         "degree": smoothing.USED,
         "draws": smoothing.DRAWS,
-        "step": between.STEP,
-        "small": between.SMALL,
-        "most": between.MOST,
-        "wide": between.WIDE,
         "path_half_widths": between.PATH_HALF_WIDTHS.tolist(),
         "places": PLACES.tolist(),
         "sharpest": sampling.SHARPEST,
         "fit_deg": stability.FIT_DEG,
-        "peak": obstacles.PEAK,
-        "scatter": obstacles.SCATTER,
-        "far": between.FAR,
-        "rounds": between.ROUNDS,
         "hole_fewest": holes.FEWEST,
         "hole_apart": holes.APART,
         "hole_turn": holes.TURN,
@@ -154,18 +150,17 @@ def _constants() -> dict[str, Any]:
     }
 
 
+def _numbers(module: ModuleType, names: str) -> dict[str, Any]:
+    return {name: getattr(module, name.upper()) for name in names.split()}
+
+
 def _detuning_constants() -> dict[str, Any]:
     return {
         "searched": SEARCHED_PERCENT,
         "warned": WARNED_PERCENT,
-        "coarse": detuning.COARSE,
-        "fine": detuning.FINE,
-        "finest": detuning.FINEST,
+        **_numbers(detuning, "coarse fine finest steps finest_step rounding"),
         "outer": list(detuning.OUTER),
         "fewer": list(detuning.FEWER),
-        "steps": detuning.STEPS,
-        "finest_step": detuning.FINEST_STEP,
-        "rounding": detuning.ROUNDING,
         "draws": shifted.DRAWN,
         "half_width": shifted.HALF_WIDTH_STD,
         "matters": shifted.MATTERS,
@@ -182,13 +177,15 @@ def _state(seed: int) -> dict[str, str]:
 def _loop(one: ShapingSession) -> dict[str, Any]:
     required = one.of_plant(one.requirements)
     loops, notes = loops_of(one.frfs, one.controller, required, one.fits)
+    disturbances = of_points(dict(zip(one.verdict.margins, loops, strict=True)), one.disturbances)
     return {
         "name": one.requirements.loop or one.controller.loop,
         "rate_hz": one.controller.rate_hz,
         "requirements": requirement_words(one.requirements),
         "controller": controller_words(one.controller),
         "points": [
-            _point(name, loop) | {"fit": _fit(fit_of(frf, one.fits))}
+            _point(name, loop)
+            | {"fit": _fit(fit_of(frf, one.fits)), "disturbed": _disturbed(loop, disturbances.get(name))}
             for name, loop, frf in zip(one.verdict.margins, loops, one.frfs, strict=True)
         ],
         "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
@@ -248,12 +245,7 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
         **_between_lines(loop),
         "resonances": [_resonance(x) for x in resonances(raw) if x.phase is not Phase.UNKNOWN],
         "hidden": [
-            {
-                "low_hz": one.low_hz,
-                "high_hz": one.high_hz,
-                "centre_hz": one.pole_hz.real,
-                "peak": one.peak,
-            }
+            {"low_hz": one.low_hz, "high_hz": one.high_hz, "centre_hz": one.pole_hz.real, "peak": one.peak}
             for one in obstacles.hidden_in(loop)
         ],
     }
@@ -362,6 +354,18 @@ def _fit(fit: Fit | None) -> dict[str, Any] | None:
     named = {"structure": fit.structure, "misfit_db": fit.misfit_db, "sufficient": fit.sufficient}
     model = fit.model
     return named | {"num": model.num.tolist(), "den": model.den.tolist(), "delay_s": model.delay_s}
+
+
+def _disturbed(loop: Loop, disturbance: Disturbance | None) -> dict[str, Any] | None:
+    """What disturbed a loop, with plant and old controller on its lines; None of a profile and of too many lines."""
+    if disturbance is None or disturbance.repeats or disturbance.power.size > MOST_LINES:
+        return None
+    known = carried(loop, disturbance)
+    C0 = disturbance.recorded_under.response(known.f) if disturbance.recorded_under else np.zeros(known.f.size, complex)
+    values = {"f": known.f, "power": np.abs(known.before) ** 2, "P": known.there.response, "C0": C0}
+    return {k: packed(x) for k, x in values.items()} | {
+        "bias": packed(known.there.bias(known.covariance[:, 0, 0].real)), "rms": disturbance.rms,
+    }  # fmt: skip
 
 
 def _pair(value: complex) -> list[float]:

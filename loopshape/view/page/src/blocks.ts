@@ -1,7 +1,7 @@
 // The controller's blocks: numbers to type, locks, order, and what each costs at the crossover.
 
 import type { Controller } from "./numbers/controller";
-import { newBlock, type Design, type DesignBlock } from "./design";
+import { newBlock, type Design, type DesignBlock } from "./design/design";
 import { button, el, focusedIn, numberField, shown, setField, written } from "./dom";
 import { nameOf, NEW_BLOCKS, numbersOf, type BlockNumber } from "./numbers/forms";
 import { costAt } from "./draw/handles";

@@ -1,6 +1,6 @@
 // What the page stands in: a file or a server's answer, whose address holds the design, or a cell of a notebook.
 
-import { designOf, fromAddress, type Design } from "./design";
+import { designOf, fromAddress, type Design } from "./design/design";
 import type { Controller } from "./numbers/controller";
 import type { Payload, PlantLoop, Requirements } from "./payload";
 

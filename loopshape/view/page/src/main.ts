@@ -5,14 +5,14 @@ import { BlockList } from "./blocks";
 import { refusal, responseOn, type Controller } from "./numbers/controller";
 import {
   addressOf, controllerOf, controllerText, designOf, History, requirementsText, withFile, type Design,
-} from "./design";
+} from "./design/design";
 import { button, download, el, focusedIn, shown, slider } from "./dom";
 import { Cell, OwnDocument, type Guest, type Host, type Model } from "./host";
 import { quantityOf, requirementsAt } from "./loop/limits";
 import { unitCrossings } from "./loop/margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
-import { scaledTo } from "./tune";
+import { scaledTo } from "./design/tune";
 import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
 import { Engine, type Verdict } from "./loop/verdict";

@@ -3,6 +3,7 @@
 import { complexOf, halvesOf, realOf, singlesOf, type Complex, type Real } from "./numbers/arrays";
 import type { Controller } from "./numbers/controller";
 import type { AtPoints, Mask, OperatingPoint } from "./loop/limits";
+import type { Disturbance } from "./numbers/disturbed";
 import type { State } from "./numbers/random";
 
 export interface Limit {
@@ -122,6 +123,7 @@ interface RawPoint {
   resonances: Seen[];
   fit: FitModel | null;
   hidden: Hidden[];
+  disturbed: (Record<Exclude<keyof Disturbance, "rms">, string> & { rms: number }) | null;
 }
 
 /** A model fitted to an operating point, num(s)/den(s) exp(-s delay) in descending powers, and how well it does. */
@@ -223,6 +225,8 @@ export interface Point {
   resonances: Seen[];
   fit: FitModel | null;
   hidden: Hidden[];
+  /** What disturbed the loop there, where the page was given it. */
+  disturbed: Disturbance | null;
 }
 
 /** Python's verdict on the controller that the page was made with. */
@@ -301,6 +305,10 @@ function pointOf(raw: RawPoint): Point {
       polynomials: singlesOf(x.polynomials),
       hidden: realOf(x.hidden),
     })),
+    disturbed: raw.disturbed && {
+      f: realOf(raw.disturbed.f), power: realOf(raw.disturbed.power), P: complex(raw.disturbed.P), C0: complex(raw.disturbed.C0),
+      bias: realOf(raw.disturbed.bias), rms: raw.disturbed.rms,
+    },
     interpolation_residual: raw.interpolation_residual === null ? null : realOf(raw.interpolation_residual),
   };
 }

@@ -2,7 +2,7 @@
 
 import { placeIn } from "./numbers/arrays";
 import type { Controller } from "./numbers/controller";
-import type { Design, DesignBlock } from "./design";
+import type { Design, DesignBlock } from "./design/design";
 import { el, shown } from "./dom";
 import { carried, dragged, handlesOf, widened, type Handle } from "./draw/handles";
 import { limitSizes, phaseGuides, sizeGuides, type RequiredLimits } from "./draw/guides";

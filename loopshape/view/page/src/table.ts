@@ -49,6 +49,7 @@ export class RequirementTable {
   private readonly stability = el("p", { class: "stability" });
   private readonly detuning = el("p", { class: "stability", id: "detuning" });
   private readonly resonances = el("ul", { class: "stability", id: "resonances", "aria-label": "Detuning margins of single resonances" });
+  private readonly disturbed = el("p", { class: "stability", id: "disturbed" });
   private readonly adder = el("select", { id: "add-requirement" });
   private readonly cells = new Map<string, Cells>();
   private shape: string | null = null;
@@ -64,7 +65,7 @@ export class RequirementTable {
     const table = el("table", { id: "requirements" }, el("thead", {}, row), this.body);
     const label = el("label", { for: "add-requirement" }, "Add a requirement ");
     const add = button("Add", "add the requirement that is chosen", () => this.added());
-    this.element.append(el("div", { class: "scroll" }, table), this.stability, this.detuning, this.resonances, el("p", { class: "row" }, label, this.adder, add));
+    this.element.append(el("div", { class: "scroll" }, table), this.stability, this.detuning, this.resonances, this.disturbed, el("p", { class: "row" }, label, this.adder, add));
   }
 
   /** Rows as asked for now; found numbers of the page's loop, null while nothing is known. */
@@ -89,6 +90,7 @@ export class RequirementTable {
     this.stability.replaceChildren(...(counted ? this.stabilityWords(counted) : ["Stability: computing"]));
     this.stability.classList.toggle("late", !known.settled);
     this.tellDetuning(known.detuned, known.late);
+    this.disturbed.textContent = this.disturbedWords(found, everywhere);
   }
 
   /** The verdict, then what is missed first. */
@@ -111,6 +113,17 @@ export class RequirementTable {
     this.resonances.replaceChildren(...lines.map((words) => el("li", {}, words)));
     this.resonances.classList.toggle("late", resonances !== detuning);
     this.resonances.hidden = !lines.length;
+  }
+
+  /** Rms of error and plant input under what disturbed the loop, at the operating point with the largest error. */
+  private disturbedWords({ margins, unstable }: Verdict, required: Requirements): string {
+    const each = margins.flatMap(({ disturbed, stability }, k) => (disturbed ? [{ ...disturbed, k, lost: stability?.outcome === "unstable" }] : []));
+    if (!each.length) return "";
+    const { error, control, k, lost } = each.reduce((a, b) => (b.lost || (!a.lost && b.error > a.error) ? b : a));
+    const most = (name: string): string => (typeof required[name] === "number" ? ` (at most ${shown(required[name])} required)` : "");
+    const where = margins.length > 1 ? ` at ${this.names[k]}` : "";
+    if (lost) return `Error rms: without bound${where}, where the loop is unstable.`;
+    return `Error rms ${shown(error)}${most("error_rms")}, plant input rms ${shown(control)}${most("control_rms")}${where}, under what disturbed the loop when it was recorded${unstable.length ? ", if the loop is stable" : ""}; intervals: loopshape check --disturbance.`;
   }
 
   /** `late` is the row as it was known last: while this one is not, its interval is shown. */

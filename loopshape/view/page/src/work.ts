@@ -1,12 +1,12 @@
 // Intervals and stability, then detuning margins, beside the page: some workers, each with its share of the operating
 // points; and tunings.
 
-import type { Design } from "./design";
+import type { Design } from "./design/design";
 import type { Controller } from "./numbers/controller";
 import type { Margins } from "./loop/margins";
 import { payloadOf, type Payload, type Raw, type Requirements } from "./payload";
 import { Engine } from "./loop/verdict";
-import { tuned, type Tuned } from "./tune";
+import { tuned, type Tuned } from "./design/tune";
 
 /** What is asked about. */
 export interface Asked {

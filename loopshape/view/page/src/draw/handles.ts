@@ -2,7 +2,7 @@
 
 import { blockResponse, type Controller } from "../numbers/controller";
 import { db, fromDb } from "../numbers/arrays";
-import type { DesignBlock } from "../design";
+import type { DesignBlock } from "../design/design";
 import { numbersOf, parameterRefusal } from "../numbers/forms";
 
 export interface Handle {

@@ -2,6 +2,7 @@
 
 import { clip, db, fromDb, geometric, magnitudes, placeIn, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
+import { rmsUnder, type Rms } from "../numbers/disturbed";
 import type { Detuning } from "./detuning";
 import type { ReadLimit } from "../payload";
 import type { Reader } from "./limits";
@@ -40,6 +41,8 @@ export interface Margins {
   stability: Stability | null;
   /** What is known of the detuning margin, nothing while it is not. */
   detuning: Detuning | null;
+  /** What the loop makes of what disturbed it, if it is stable; null where that is not known. */
+  disturbed: Rms | null;
   settled: boolean;
 }
 
@@ -81,6 +84,7 @@ export function margins(loop: Loop, reader: Reader): Margins {
     phase_crossings_hz: axisCrossings(first.f, first.L),
     stability: null,
     detuning: null,
+    disturbed: loop.point.disturbed && rmsUnder(loop.point.disturbed, loop.controller),
     settled: first.draws !== null,
   };
 }

@@ -1,15 +1,15 @@
 // A design for a bandwidth: free numbers of its blocks scaled to it, then moved until the page's own margins leave all
 // that is required (Levenberg 1944, Marquardt 1963, on what is missed); intervals have the last word.
 
-import { clip, placeIn } from "./numbers/arrays";
-import { response, refusal } from "./numbers/controller";
+import { clip, placeIn } from "../numbers/arrays";
+import { response, refusal } from "../numbers/controller";
 import { controllerOf, designBlock, type Design, type DesignBlock } from "./design";
-import { numbersOf } from "./numbers/forms";
-import { onColumn, type Margins } from "./loop/margins";
-import { seenResonances } from "./loop/shifted";
-import { polesOf } from "./loop/stability";
-import type { Engine } from "./loop/verdict";
-import type { PlantLoop, ReadLimit, Requirements } from "./payload";
+import { numbersOf } from "../numbers/forms";
+import { onColumn, type Margins } from "../loop/margins";
+import { seenResonances } from "../loop/shifted";
+import { polesOf } from "../loop/stability";
+import type { Engine } from "../loop/verdict";
+import type { PlantLoop, ReadLimit, Requirements } from "../payload";
 
 /** Blocks that a tuning gives, and whether intervals and stability leave all that is required, and the bandwidth. */
 export interface Tuned {

@@ -1,10 +1,10 @@
 // What a person designs: blocks that may be switched off and locked, and what is required; as text and back.
 
-import type { Block, Controller, Kind } from "./numbers/controller";
-import { refusal, section, sectionRefusal } from "./numbers/controller";
-import { NEW_BLOCKS, parameterRefusal } from "./numbers/forms";
-import { limitsOver, MASKED } from "./loop/limits";
-import type { Payload, PlantLoop, Requirements } from "./payload";
+import type { Block, Controller, Kind } from "../numbers/controller";
+import { refusal, section, sectionRefusal } from "../numbers/controller";
+import { NEW_BLOCKS, parameterRefusal } from "../numbers/forms";
+import { limitsOver, MASKED } from "../loop/limits";
+import type { Payload, PlantLoop, Requirements } from "../payload";
 import { readToml, tomlText, Whole, type Table, type Toml } from "./toml";
 
 export interface DesignBlock extends Block {
