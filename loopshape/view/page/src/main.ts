@@ -41,7 +41,7 @@ class Page implements Guest {
   private blocks!: BlockList;
   private bandwidth!: ReturnType<typeof slider>;
   /** From which design the bandwidth is moved, where it was, and what was made of it. */
-  private begun: { design: Design; hz: number; now: Design } | null = null;
+  private scaledFrom: { design: Design; hz: number; now: Design } | null = null;
   private screen!: Screen;
   private readonly pool: Pool;
   private readonly message = el("p", { id: "message", role: "status", "aria-live": "polite" });
@@ -246,30 +246,30 @@ class Page implements Guest {
   /** Where the bandwidth is moved from: the design, and the lowest of all operating points in Hz, by estimates. */
   private get origin(): { design: Design; hz: number; now: Design } {
     const { design, controller } = this;
-    if (this.begun?.now === design) return this.begun;
+    if (this.scaledFrom?.now === design) return this.scaledFrom;
     const found = this.engines[this.current].estimates(controller, design.requirements);
     return { design, hz: Math.min(...found.map(({ values }) => values.bandwidth_hz || 0)), now: design };
   }
 
   /** The design moved to a bandwidth in Hz, before anything is searched. */
   private scale(hz: number): void {
-    this.begun = this.origin;
-    this.change({ blocks: scaledTo(this.begun.design, this.loop, this.begun.hz, hz).blocks }, true, `Scaled to ${shown(hz)} Hz: let go to tune`);
-    this.begun.now = this.design;
+    this.scaledFrom = this.origin;
+    this.change({ blocks: scaledTo(this.scaledFrom.design, this.loop, this.scaledFrom.hz, hz).blocks }, true, `Scaled to ${shown(hz)} Hz: let go to tune`);
+    this.scaledFrom.now = this.design;
   }
 
   /** Tunes what is not locked for a bandwidth in Hz: judged here, as by check; whether all that is required is left. */
   async tuneTo(hz: number): Promise<boolean> {
     const { design, hz: from_hz } = this.origin;
     const [before, loop] = [this.design, this.current];
-    this.begun = null;
+    this.scaledFrom = null;
     this.say(`Tuning for ${shown(hz)} Hz …`);
-    const { blocks, met } = await this.pool.tune({ loop, design, from_hz, hz });
-    if (this.design !== before || this.current !== loop) return met;
+    const { blocks, feasible } = await this.pool.tune({ loop, design, from_hz, hz });
+    if (this.design !== before || this.current !== loop) return feasible;
     const missed = "and all that is required were not reached together with what is free: the nearest is shown; add a lead or a notch, unlock numbers, or ask for less";
-    this.change({ blocks }, true, `${shown(hz)} Hz ${met ? "and all that is required are reached, with intervals and stability" : missed}`);
+    this.change({ blocks }, true, `${shown(hz)} Hz ${feasible ? "and all that is required are reached, with intervals and stability" : missed}`);
     this.histories[this.current].close();
-    return met;
+    return feasible;
   }
 
   private listen(): void {
@@ -520,7 +520,7 @@ class Page implements Guest {
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
     this.tabulate();
     this.blocks.show(this.controller);
-    if (!this.begun) this.bandwidth.show(this.crossover());
+    if (this.scaledFrom?.now !== this.design) this.bandwidth.show(this.crossover());
     this.closed.textContent = this.closedWords();
     this.closed.hidden = !this.loop.closed.length;
     this.closed.classList.toggle("moved", this.movedOthers().length > 0);

@@ -14,7 +14,7 @@ import type { PlantLoop, ReadLimit, Requirements } from "../payload";
 /** Blocks that a tuning gives, and whether intervals and stability leave all that is required, and the bandwidth. */
 export interface Tuned {
   blocks: DesignBlock[];
-  met: boolean;
+  feasible: boolean;
 }
 
 /** What counts as much as another: dB, degrees, shares as ln; and how much of that must be left. */
@@ -222,7 +222,7 @@ export function tuned(engine: Engine, design: Design, from_hz: number, wanted_hz
       if (now === 0) break;
     }
   }
-  return { blocks: best.one.blocks, met: holds(engine, best.one, required) };
+  return { blocks: best.one.blocks, feasible: holds(engine, best.one, required) };
 }
 
 /** A design with its lead, PI and low-pass about a bandwidth. */

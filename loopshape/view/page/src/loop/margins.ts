@@ -48,18 +48,18 @@ export interface Margins {
 
 /** Margins of a loop; with draws they are bias-corrected and have intervals. */
 export function margins(loop: Loop, reader: Reader): Margins {
-  const judged = readings(loop);
-  const [first] = judged;
+  const ways = readings(loop);
+  const [first] = ways;
   const grid = gridOf(loop, first, reader);
-  const scans = scansOf(loop, judged, grid);
+  const scans = scansOf(loop, ways, grid);
   const reads = scans.map((one) => readOf(grid, one, true));
   const { at } = reads[0].rows;
   const found = Float64Array.from(reads[0].rows.found, ([value], c) => kernel.inUnits(c, value));
   const own = withIntervals(loop, first, reads[0], reader);
   const ends = { value: own.value, low: own.low.slice(), high: own.high.slice() };
   const like = { ...reads[0], ...own };
-  for (let m = 1; m < judged.length; m++) {
-    const its = withIntervals(loop, judged[m], reads[m], reader, like);
+  for (let m = 1; m < ways.length; m++) {
+    const its = withIntervals(loop, ways[m], reads[m], reader, like);
     its.low.forEach((value, c) => (ends.low[c] = Math.min(ends.low[c], value)));
     its.high.forEach((value, c) => (ends.high[c] = Math.max(ends.high[c], value)));
   }
@@ -147,8 +147,8 @@ interface Scans {
 }
 
 /** What the lines tell with each model of those below them: from the first line on they are scanned once. */
-function scansOf(loop: Loop, judged: Judged[], grid: kernel.Grid): Scans[] {
-  const [first] = judged;
+function scansOf(loop: Loop, ways: Judged[], grid: kernel.Grid): Scans[] {
+  const [first] = ways;
   const every = Array.from(grid.f.keys());
   const below = every.length - loop.dense.f.length;
   const last = every.length - 1;
@@ -157,7 +157,7 @@ function scansOf(loop: Loop, judged: Judged[], grid: kernel.Grid): Scans[] {
     const from = lines.findIndex((k) => k >= below);
     const upper = kernel.scan(grid, rows(first), lines.slice(from), !below);
     const lower = lines.slice(0, from + 1);
-    return judged.map((j) => (below ? kernel.joined(kernel.scan(grid, rows(j), lower, true, upper.floors), upper) : upper));
+    return ways.map((j) => (below ? kernel.joined(kernel.scan(grid, rows(j), lower, true, upper.floors), upper) : upper));
   };
   const own = each(every, (j) => j);
   const coarse = halves.map((lines) => each(lines, (j) => ({ L: j.reference })));
