@@ -121,18 +121,21 @@ const pieces = (whole: Float64Array, count: number): Float64Array[] =>
 
 const copied = (columns: Float64Array[]): Float64Array[] => pieces(new Float64Array(columns[0].buffer.slice(0)), COLUMNS);
 
-/** What some of the grid's lines tell, in their order; `begins` where none lies below them. */
+/** What some of the grid's lines tell, in their order; `begins` where none lies below them. Nothing is found of lines that
+ * can tell no more than others of which `floors` are known. */
 export function scan(grid: Grid, rows: Rows, lines: ArrayLike<number>, begins = true, floors: Float64Array = new Float64Array(QUANTITIES)): Scan {
   const count = rows.draws ? rows.draws[0].count + 2 : 1;
-  const found = pieces(new Float64Array(COLUMNS * count), COLUMNS);
-  found.forEach((column, c) => column.fill(isRising[c] ? -Infinity : Infinity));
   let [x, y, size, away, lastX, lastY, first, last, lastAway] = pieces(new Float64Array(9 * count), 9);
   const hz = (i: number): number => grid.f[lines[i]];
   const out: Scan = {
-    found, at: new Float64Array(COLUMNS).fill(NaN), sensed: new Uint8Array(count), first, last, lastAway,
+    found: [], at: new Float64Array(COLUMNS).fill(NaN), sensed: new Uint8Array(count), first, last, lastAway,
     ends: [hz(0), hz(1), hz(lines.length - 1)], floors: floors.slice(),
   };
   const needed = neededOf(grid, rows, lines, out.floors);
+  if (needed && !needed.some(Boolean)) return started(rows, lines[0], x, y, out);
+  needed?.fill(1, 0, 1).fill(1, lines.length - 1);
+  out.found = pieces(new Float64Array(COLUMNS * count), COLUMNS);
+  out.found.forEach((column, c) => column.fill(isRising[c] ? -Infinity : Infinity));
   for (let i = 0; i < lines.length; i++) {
     if (needed && !needed[i]) continue;
     fill(rows, lines[i], x, y);
@@ -143,6 +146,16 @@ export function scan(grid: Grid, rows: Rows, lines: ArrayLike<number>, begins = 
       if (begins) out.sensed.forEach((_, r) => (out.sensed[r] = away[r] <= 2 ? 1 : 0));
     }
     [x, y, size, away, lastX, lastY, out.last, out.lastAway] = [lastX, lastY, out.last, out.lastAway, x, y, size, away];
+  }
+  return out;
+}
+
+/** Of lines that tell nothing else: |L|² on the first of them, and whether |S| starts above -3 dB there. */
+function started(rows: Rows, k: number, x: Float64Array, y: Float64Array, out: Scan): Scan {
+  fill(rows, k, x, y);
+  for (let r = 0; r < x.length; r++) {
+    out.first[r] = x[r] * x[r] + y[r] * y[r];
+    out.sensed[r] = (1 + x[r]) * (1 + x[r]) + y[r] * y[r] <= 2 ? 1 : 0;
   }
   return out;
 }
@@ -197,7 +210,6 @@ function neededOf(grid: Grid, { L, reference, factor, draws }: Rows, lines: Arra
     for (let q = 0; q < QUANTITIES; q++) if (most[i * QUANTITIES + q] >= floors[q] && most[i * QUANTITIES + q] > 0) out[i] = 1;
     if (nearest[i] * floors[1] <= 1) out[i] = out[i - 1] = 1;
   }
-  out[0] = out[n - 1] = 1;
   return out;
 }
 
@@ -316,6 +328,8 @@ function between(f0: number, f1: number, size0: number, size1: number, level: nu
 export function joined(lower: Scan, upper: Scan): Scan {
   const { last, lastAway, floors, at: upperAt } = upper;
   const [f0, f1] = lower.ends;
+  const whole = { sensed: lower.sensed.map((one, r) => one | upper.sensed[r]), first: lower.first, last, lastAway, floors, ends: [f0, f1, upper.ends[2]] as Scan["ends"] };
+  if (!lower.found.length) return { ...upper, ...whole };
   const at = lower.at.slice();
   const found = copied(lower.found);
   found.forEach((out, c) => {
@@ -330,7 +344,7 @@ export function joined(lower: Scan, upper: Scan): Scan {
       if (!r) at[c] = upperAt[c];
     }
   });
-  return { found, at, sensed: lower.sensed.map((one, r) => one | upper.sensed[r]), first: lower.first, last, lastAway, floors, ends: [f0, f1, upper.ends[2]] };
+  return { found, at, ...whole };
 }
 
 /** Margins of one loop by column, and where they lie in Hz. */
