@@ -223,16 +223,9 @@ def tune(
     known = point_disturbances(disturbance, *dict.fromkeys(loops))
     with (watch or Unwatched()).progress("tune", 2 * len(asked)) as step:
         return tune_loops(
-            plants_of(P),
-            asked,
-            initial,
-            together,
-            fits=fits,
-            recorded_under=recorded_under,
-            step=step,
-            disturbances=known,
-            **search,
-        )
+            plants_of(P), asked, initial, together, fits=fits, recorded_under=recorded_under, step=step,
+            disturbances=known, **search,
+        )  # fmt: skip
 
 
 def check(

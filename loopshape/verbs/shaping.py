@@ -160,6 +160,5 @@ def shape_run(
             "give files of this run's loops",
         )
     mine = {name: [frf for frf in frfs if frf.loop == name] for name in names}
-    still = None if disturbance is None else read_run(disturbance)
-    known = {name: disturbances_in(still, name) if still else () for name in names}
+    known = {name: disturbances_in(read_run(disturbance), name) if disturbance else () for name in names}
     return [shaped(mine[name], controllers.get(name), required.get(name), fits, known[name]) for name in names]

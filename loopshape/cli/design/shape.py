@@ -45,11 +45,8 @@ def shape(
     with output.progress("shape", 1):
         from loopshape.verbs.shaping import matrix_run, shape_run, write_page
 
-        several, loops = (
-            matrix_run(run, require, controller, disturbance)
-            if matrix
-            else (None, shape_run(run, require, controller, disturbance))
-        )
+        asked = (run, require, controller, disturbance)
+        several, loops = matrix_run(*asked) if matrix else (None, shape_run(*asked))
     if serve:
         _serve(loops, run.resolve().name, save or run / "controller.toml", several)
         return

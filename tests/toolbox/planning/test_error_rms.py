@@ -139,6 +139,12 @@ def test_the_command_predicts_from_another_run(tmp_path):
     assert line["value"] == pytest.approx(true_rms(NEW), rel=0.1)
     assert line["interval"][0] < line["value"] < line["interval"][1]
     assert "error_rms" in invoked(words).stdout
+    plant, page, still = (str(tmp_path / name) for name in ("plant", "shape.html", "still"))
+    asked = ["shape", plant, "--controller", str(tmp_path / "c.toml"), "--out", page]
+    for words, known in ((asked, False), ([*asked, "--disturbance", still], True)):
+        invoked(words)
+        assert ('"disturbed":{' in Path(page).read_text("utf-8").replace(" ", "")) is known
+    assert "take one loop alone" in str(invoked([*asked, "--matrix", "--disturbance", still]).exception)
 
 
 def test_the_command_tunes_to_it_from_another_run(tmp_path):
