@@ -93,6 +93,7 @@ def drawn() -> dict[str, Figure]:
         "readme/bench": bench,
         "readme/tones": _tones(),
         "readme/feedforward": _feedforward(),
+        "readme/adopt": adopt_figure(),
         **_diagrams(),
         **runpy.run_path(str(DOCS / "definitions.py"))["pictures"](),
     }
@@ -166,6 +167,30 @@ def _feedforward() -> Figure:
         },
         P,
     )
+
+
+@styled()
+def adopt_figure() -> Figure:
+    """A trial of the study `adopt` whose machine changes under way: the target goes back by itself."""
+    path = DOCS.parent / "experiments" / "adopt" / "trace.csv"
+    d = np.genfromtxt(path, delimiter=",", names=True)
+    figure = Figure(figsize=(FULL_WIDTH_IN, 3.2), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
+    above.plot(d["time_s"], d["error_rms_um"], color=COLOURS[0], label="error, rms over 0.1 s")
+    above.plot(
+        d["time_s"],
+        d["allowed_rms_um"],
+        "--",
+        color=COLOURS[1],
+        label="allowed over a period of the multisine",
+    )
+    above.set_yscale("log")
+    above.set_ylabel("error [µm]")
+    above.legend(loc="upper left", ncols=2)
+    above.set_ylim(top=2000.0)
+    below.plot(d["time_s"], 100.0 * d["share"], color=COLOURS[0])
+    below.set(xlabel="time [s]", ylabel="share [%]", ylim=(-5.0, 105.0))
+    return figure
 
 
 @styled()

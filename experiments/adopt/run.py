@@ -30,6 +30,8 @@ GRID = np.geomspace(0.05, 499.0, 4000)
 BAD = ("gain", "gain, loaded alone", "no notch", "no notch, loaded alone", "resonance moved", "delay grown",
        "sign, loaded alone", "changes under way")  # fmt: skip
 AFTER_S, REST_S, KEPT_S = 1.0, 0.5, 20.0
+#: the draw of the documentation's picture
+SHOWN = 63
 #: places in the state of a trial, as `trial.c` has them
 PHASE, WHY, TICKS, SEEN, OFFSET, SHARE, FROM, SUM, BEFORE, RISING, VALUE, AT_LIMIT = range(12)
 
@@ -39,9 +41,9 @@ def simulate(A, B, at, x, delays, line, own, other, w, v, trial, watch, r, n, no
     """Both plants (A, B: 2 of them, the second from tick `at` on) under both controllers, as the target runs them.
 
     `watch` is share, ramp, window, error_peak, control_low, control_high, error_rms, growth and the share to track.
-    Gives y, z, the true position, and how many ticks ran before it went back (all: it did not).
+    Gives y, z, the true position and the share, and how many ticks ran before it went back (all: it did not).
     """
-    out = np.zeros((r.size, 3))
+    out = np.zeros((r.size, 4))
     back = r.size
     for k in range(r.size):
         p = 0 if k < at else 1
@@ -87,7 +89,7 @@ def simulate(A, B, at, x, delays, line, own, other, w, v, trial, watch, r, n, no
                         why, trial[VALUE], trial[AT_LIMIT] = 4.0, 0.0, watch[7]
             if why > 0.0:
                 trial[PHASE], trial[WHY], trial[SHARE], u, back = 3.0, why, 0.0, e, k
-        out[k, 0], out[k, 1], out[k, 2] = y, u, x[0]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = y, u, x[0], trial[SHARE]
         d = delays[p]
         for i in range(line.size - 1, 0, -1):
             line[i] = line[i - 1]
@@ -235,7 +237,7 @@ class Machine:
         self.rng = np.random.default_rng([2612, seed])
         self.restart()
         self.track = track_share(draw.loaded, RATE, 0.1)
-        self.largest, self.back_after, self.peak_allowed = 0.0, None, np.inf
+        self.largest, self.back_after, self.done = 0.0, None, []
 
     def restart(self):
         """At rest, the old controller alone."""
@@ -257,6 +259,9 @@ class Machine:
             self.v, self.trial, self.watch, r, n, noise, force, 50.0 * LIMIT_M,
         )  # fmt: skip
         self.largest = max(self.largest, float(np.abs(out[:, 2]).max()))
+        on = self.trial[PHASE] in (2.0, 4.0) or back < r.size
+        limit = np.full(r.size, self.watch[6] if on else np.nan)
+        self.done.append(np.column_stack([out[:, 0], out[:, 3], limit]))
         return out, back
 
     def measured(self, share, controller, longer, plants, change=10**9):
@@ -332,14 +337,15 @@ class Machine:
         return nullcontext()
 
 
-def tried(k):
+def tried(k, machines=None):
     """One draw: what was decided, and what is true."""
     draw = Draw(k)
     machine = Machine(draw, k)
+    (machines if machines is not None else []).append(machine)
     run, loop = machine.measured(0.0, draw.old, 1.0, (draw.first, draw.first))
     before = ls.frf(ls.Run(RATE, (replace(loop, controller=draw.old),), (run,), "axis"))
     machine.restart()
-    machine.largest = 0.0
+    machine.largest, machine.done = 0.0, []
     R = ls.Requirements("position", sensitivity_peak_db=PEAK_DB, unstable_poles=0, integrators=1)
     trial = Trial(replace(loop, controller=draw.old), draw.old, draw.file, R, TrialSettings())
     found = adopt(trial, machine, [before])
@@ -351,6 +357,18 @@ def tried(k):
         "why": found.reason[:150], "ticks_to_go_back": machine.back_after if by_target else "",
         "largest_of_limit_percent": round(100.0 * machine.largest / LIMIT_M, 1),
     }  # fmt: skip
+
+
+def trace(k):
+    """A draw as a picture shows it: rms of the error over 0.1 s, the share, and the rms that is allowed."""
+    machines = []
+    tried(k, machines)
+    done = np.concatenate(machines[0].done)
+    done = done[: 1000 + np.flatnonzero(done[:, 1])[-1]]  # the excitation, which goes on here, stops on a target
+    done = done[: len(done) // 100 * 100].reshape(-1, 100, 3)
+    rms = 1e6 * np.sqrt(np.mean(done[:, :, 0] ** 2, axis=1))
+    rows = np.column_stack([0.1 * (1 + np.arange(len(done))), rms, done[:, -1, 1], 1e6 * done[:, -1, 2]])
+    write("trace.csv", ("time_s", "error_rms_um", "share", "allowed_rms_um"), np.round(rows, 4).tolist())
 
 
 def row_of(wrong, holds, mine):
@@ -385,9 +403,10 @@ def write(name, columns, rows):
     """A table, and the same on the terminal."""
     with (HERE / name).open("w", newline="") as file:
         csv.writer(file).writerows([columns, *rows])
-    for row in rows if name != "draws.csv" else []:
+    for row in rows if name == "tunes.csv" else []:
         print(*row)
 
 
 if __name__ == "__main__":
     main(int(sys.argv[1]) if len(sys.argv) > 1 else DRAWS)
+    trace(SHOWN)

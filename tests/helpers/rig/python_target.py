@@ -760,8 +760,8 @@ class Target:
             self._end(reason, index, value, limit)
         else:
             self._ended(0, 0, reason, index, 0, value, limit)
-        if self._configured().trial:
-            self._configured().trial.fault()
+        if self.settings and self.settings.trial:
+            self.settings.trial.fault()
         self.state, self.fault = FAULT, reason
         self.held = closed and self._configured().hold and reason != BY_WATCHDOG
         if self.held:
