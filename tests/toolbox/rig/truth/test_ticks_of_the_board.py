@@ -3,6 +3,7 @@
 import re
 import struct
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from loopshape.toolbox.rig.cortex_m import NS_OF_AN_INSTRUCTION
 from loopshape.toolbox.rig.target.blocks import Block
 from loopshape.toolbox.rig.target.messages import Reason, Request, Response, State, rows, start_payload
 from loopshape.toolbox.rig.target.scheduling import Scheduling
+from loopshape.toolbox.rig.target.trial import Trial, Watch
 
 PAGE = (Path(__file__).parents[4] / "docs" / "board.md").read_text()
 ROWS = dict(re.findall(r"^\| (\d+ .*?) \| ([\d ]+) \| [\d.]+ ms \|", PAGE, re.M))
@@ -42,6 +44,7 @@ CASES = {
     "2 loops of 32": [sections(32)] * 2,
     "16 blocks": [sections(32)] * 2,
     "2 schedules": [schedule(0, 3), schedule(1, 1)],
+    "8 sections on trial": [sections(8)],
 }
 
 
@@ -55,7 +58,8 @@ def test_a_tick_takes_what_the_page_says(case):
     (said,) = (int(count.replace(" ", "")) for row, count in ROWS.items() if row.startswith(case))
     made = diagram() if case == "16 blocks" else ()
     for _ in range(TRIES):
-        found, status = watched(configuration(*CASES[case], watchdog_ms=60_000, blocks=made))
+        asked = configuration(*CASES[case], watchdog_ms=60_000, blocks=made)
+        found, status = watched(replace(asked, trial=Trial(0, sections(8), 0.01)) if "trial" in case else asked)
         if found.longest >= HCLK_HZ / 1000.0 or found.latest < 168 * 150:
             break
     instructions = found.longest * 1e9 / (HCLK_HZ * NS_OF_AN_INSTRUCTION)
@@ -72,6 +76,8 @@ def watched(asked):
     """What 200 ticks take at 1 kHz, and how the board stands then."""
     with board(*BY_INSTRUCTIONS_ALONE, rate_hz=1000.0) as (port, monitor), session(port) as one:
         armed(one, asked)
+        if asked.trial:
+            one.ask(Request.BLEND, Watch(0.5, 100, 10**6, 50, 1.0, -1.0, 1.0, 1.0, 2.0).payload())
         begun = monitor.watched().ticks
         while (found := monitor.watched()).ticks < begun + 200:
             time.sleep(0.01)
