@@ -181,7 +181,7 @@ class Draw:
     """A machine, its old controller, a tune, and what is wrong with one of them."""
 
     def __init__(self, k):
-        rng = np.random.default_rng([2611, k])
+        rng = np.random.default_rng([2711, k])
         self.bad = BAD[(k // 2) % len(BAD)] if k % 2 else "none"
         while not self._drawn(rng):
             pass
@@ -234,7 +234,7 @@ class Machine:
         one = ExperimentTemplate("axis", "multisine", "controller_input", "position", signal, lead_s=0.2)
         self.study = Study("simulated", "servo-axis", (one,), ({"position_m": 0.0},), RATE, seed,
                            controllers={"position": draw.old.blocks})  # fmt: skip
-        self.rng = np.random.default_rng([2612, seed])
+        self.rng = np.random.default_rng([2712, seed])
         self.restart()
         self.track = track_share(draw.loaded, RATE, 0.1)
         self.largest, self.back_after, self.done = 0.0, None, []

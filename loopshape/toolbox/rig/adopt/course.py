@@ -297,7 +297,7 @@ def _share(
 def _tested(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) -> Step:
     """Whether S is what was predicted, and this recording's own plant allows what is left."""
     settings = trial.settings
-    if (off := measured.periods.off_from(trial.at(step.share))) > OTHER:
+    if (off := measured.periods.off) > OTHER:
         why = f"z is not what this share of the new controller gives: off by {100.0 * off:.2g} %"
         return replace(step, reason=why, outcome=Adopted.WENT_BACK)
     level = 1.0 - (1.0 - settings.level) ** (1.0 / len(settings.shares))

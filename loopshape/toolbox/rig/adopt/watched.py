@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import sosfilt
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain
@@ -54,20 +55,11 @@ class Periods:
     rate_hz: float
     answers: ComplexArray
     """What the error answers on the excited lines, period by period (periods, lines)."""
-    input_lines: ComplexArray
-    control_lines: ComplexArray
-    """The controller's input and z on these lines (lines,), in the mean period."""
+    off: float
+    """How far z lies off what the loop's controller makes of its input, relative: of five lines the median, at most.
 
-    def off_from(self, controller: Controller) -> float:
-        """How far z lies off this controller's answer to its input, relative: median of five lines, where it is most.
-
-        Both are logged by the same program: what differs is another controller, or another order of signals.
-        """
-        wanted = controller.response(self.frequency_hz) * self.input_lines
-        off = np.abs(self.control_lines - wanted) / np.maximum(np.abs(wanted), 1e-300)
-        if off.size < 5:
-            return float(np.median(off))
-        return float(np.median(np.lib.stride_tricks.sliding_window_view(off, 5), axis=1).max())
+    Both are logged by one program, so that nothing but another controller, or another order of signals, is far off.
+    """
 
     def changed(self, tolerance_db: float) -> float:
         """p-value that a single period is another than the rest by no more than noise, and a rms change of |S|.
@@ -116,12 +108,13 @@ class Periods:
         lines = lines[(lines > 0) & (lines < period // 2)]
         rest = np.sqrt(count / (count - 1.0))
         at_input = info.injection == "controller_input" and loop.injected is not None
-        inputs = e + blocks(recording.column(str(loop.injected))) if at_input else e
+        entered = np.asarray(r) - y + (np.asarray(recording.column(str(loop.injected))) if at_input else 0.0)
+        apart = blocks(np.asarray(recording.column(loop.control)) - _through(loop.controller, entered))
         parts = [(x.mean(axis=0), rest * (x - x.mean(axis=0)).ravel()) for x in (e, z)]
         return cls(
             parts[0][0], parts[1][0], parts[0][1], parts[1][1], lines * rate_hz / period, n[lines], lines,
             info.injection, rate_hz, np.fft.rfft(_joined(e))[:, lines],
-            *(np.fft.rfft(_joined(x))[:, lines].mean(axis=0) for x in (inputs, z)),
+            _off(*(np.abs(np.fft.rfft(_joined(x))[:, lines].mean(axis=0)) for x in (apart, z))),
         )  # fmt: skip
 
     def in_time(self, spectrum: ComplexArray) -> Array:
@@ -136,6 +129,18 @@ def _joined(blocks: Array) -> Array:
     last = blocks[-1, -1] + np.mean(blocks[1:, 0] - blocks[:-1, -1])
     ends = np.append(blocks[1:, 0], last) - blocks[:, 0]
     return np.asarray(blocks - ends[:, None] * np.arange(blocks.shape[1]) / blocks.shape[1])
+
+
+def _through(controller: Controller | None, x: Array) -> Array:
+    """What a controller makes of a signal (n,), from rest: off by what it held before, which fades or stays constant."""
+    if controller is None:
+        return np.full(x.size, np.nan)
+    return np.asarray(sosfilt(np.insert(controller.biquads(), 3, 1.0, axis=1), x))
+
+
+def _off(apart: Array, z: Array) -> float:
+    off = apart / np.maximum(z, 1e-300)
+    return float(np.median(np.lib.stride_tricks.sliding_window_view(off, min(5, off.size)), axis=1).max())
 
 
 @dataclass(frozen=True)
