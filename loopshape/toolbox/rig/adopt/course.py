@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from loopshape.core.errors import LoopshapeError
+from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.outcomes import Agreement, Outcome
 from loopshape.core.units import from_db
@@ -60,6 +60,11 @@ class TrialSettings:
     tolerance_db: float = 1.0
     level: float = 0.05
     host_s: float = 30.0
+
+    def __post_init__(self) -> None:
+        pairs = zip((0.0, *self.shares), self.shares, strict=False)
+        if not self.shares or self.shares[-1] != 1.0 or not all(a < b for a, b in pairs):
+            raise WrongUseError("shares of a new controller rise from above 0 to 1", f"{self.shares}", "end with 1.0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -304,13 +309,10 @@ def _tested(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) 
     found = compare(predicted.prediction, measured.S, level=level, tolerance_db=settings.tolerance_db)
     step = replace(step, comparison=found)
     if found.outcome is Agreement.REFUTED:
-        worst = found.worst
-        where = (
-            ""
-            if worst is None
-            else f", most from {worst.low_hz:.3g} to {worst.high_hz:.3g} Hz ({worst.sensitivity_db:+.2g} dB)"
-        )
-        return replace(step, reason=f"S is not the predicted one{where}", outcome=Adopted.WENT_BACK)
+        why = "S is not the predicted one"
+        if (worst := found.worst) is not None:
+            why += f", most from {worst.low_hz:.3g} to {worst.high_hz:.3g} Hz ({worst.sensitivity_db:+.2g} dB)"
+        return replace(step, reason=why, outcome=Adopted.WENT_BACK)
     if (at_hz := larger_at(predicted.prediction.sensitivity, measured.S, 2.0 * settings.tolerance_db)) is not None:
         why = f"|S| is more than {2.0 * settings.tolerance_db:g} dB above its prediction at {at_hz:.4g} Hz"
         return replace(step, reason=why, outcome=Adopted.WENT_BACK)

@@ -132,7 +132,7 @@ def _joined(blocks: Array) -> Array:
 
 
 def _through(controller: Controller | None, x: Array) -> Array:
-    """What a controller makes of a signal (n,), from rest: off by what it held before, which fades or stays constant."""
+    """What a controller makes of a signal (n,), from rest: off by what it was at before, which fades or is constant."""
     if controller is None:
         return np.full(x.size, np.nan)
     return np.asarray(sosfilt(np.insert(controller.biquads(), 3, 1.0, axis=1), x))

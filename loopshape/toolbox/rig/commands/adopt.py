@@ -67,10 +67,10 @@ def adopt(
 def _report(found: Adoption, output: Output) -> None:
     rows = []
     for one in found.steps:
-        low, high = one.expected.error_rms if one.expected else (float("nan"),) * 2
+        predicted = "-" if one.expected is None else "{:.3g} to {:.3g}".format(*one.expected.error_rms)
         rms = "-" if one.error_rms is None else f"{one.error_rms:.3g}"
         agreement = "-" if one.comparison is None else one.comparison.outcome
-        rows.append((f"{100.0 * one.share:g} %", agreement, rms, f"{low:.3g} to {high:.3g}", one.outcome or "on"))
+        rows.append((f"{100.0 * one.share:g} %", agreement, rms, predicted, one.outcome or "on"))
     output.table("Shares of the new controller:", ("share", "S", "error rms", "predicted", "then"), rows)
     output.say(f"{found.outcome}: {found.reason}")
     output.json(found.to_dict())

@@ -24,10 +24,14 @@ def gone(port, make, watch):
         session = Session(link)
         make(session)
         session.ask(Request.BLEND, watch.payload())
-    time.sleep(1.0)
-    with open_link(port, 0) as link:
-        session = Session(link)
-        return session.status(), Progress.read(session.ask(Request.PROGRESS))
+    until = time.monotonic() + 8.0  # before the watchdog; a busy machine's target is late
+    while True:
+        time.sleep(1.0)
+        with open_link(port, 0) as link:
+            session = Session(link)
+            found = session.status(), Progress.read(session.ask(Request.PROGRESS))
+        if found[1].phase is not Phase.ON_TRIAL or time.monotonic() > until:
+            return found
 
 
 def on_the_arm(arm_experiment, gain):

@@ -5,6 +5,7 @@ import pytest
 
 import loopshape as ls
 from loopshape.toolbox.rig.adopt.blend import blended
+from loopshape.toolbox.rig.adopt.course import TrialSettings
 from loopshape.toolbox.rig.adopt.forecast import forecast
 
 RATE = 1000.0
@@ -87,6 +88,12 @@ def test_between_two_loops_of_a_kind_all_is_stable_and_allowed(share):
     new = controller(ls.gain(11.0), ls.lead_lag(5.0, 61.0), ls.low_pass(200.0, order=1), ls.pi(0.5))
     assert radius(blended(old, new, share)) < 1.0
     assert forecast(measured(), old, new, R, (share,)).outcome == "passed"
+
+
+@pytest.mark.parametrize("shares", [(), (0.5,), (0.5, 0.25, 1.0), (0.0, 1.0), (0.5, 1.5)])
+def test_shares_rise_to_one(shares):
+    with pytest.raises(ls.errors.WrongUseError, match="rise from above 0 to 1"):
+        TrialSettings(shares)
 
 
 def test_what_does_not_add_up_is_refused():
