@@ -29,6 +29,7 @@ DRAWS, RATE, LIMIT_M, PEAK_DB = 400, 1000.0, 4e-3, 6.0
 GRID = np.geomspace(0.05, 499.0, 4000)
 BAD = ("gain", "gain, loaded alone", "no notch", "no notch, loaded alone", "resonance moved", "delay grown",
        "sign, loaded alone", "changes under way")  # fmt: skip
+LAST = "changes in the last recording"
 AFTER_S, REST_S, KEPT_S = 1.0, 0.5, 20.0
 #: the draw of the documentation's picture
 SHOWN = 63
@@ -181,13 +182,14 @@ class Draw:
     """A machine, its old controller, a tune, and what is wrong with one of them."""
 
     def __init__(self, k):
-        rng = np.random.default_rng([2711, k])
-        self.bad = BAD[(k // 2) % len(BAD)] if k % 2 else "none"
+        rng = np.random.default_rng([2811, k])
+        self.kind = BAD[(k // 2) % len(BAD)] if k % 2 else "none"
         while not self._drawn(rng):
             pass
         self.rng = rng
 
     def _drawn(self, rng):
+        self.bad = self.kind
         f = rng.uniform(60.0, 200.0)
         self.first = first = Plant(10.0 ** rng.uniform(0.0, 2.0), rng.uniform(0.1, 0.3), f, rng.uniform(0.003, 0.01),
                                    0.0, int(rng.integers(1, 3)))  # fmt: skip
@@ -214,8 +216,10 @@ class Draw:
                  else {"f_hz": f * rng.uniform(0.6, 0.85)}}  # fmt: skip
         if self.bad in moved:
             self.later = first.changed(**moved[self.bad])
-            self.then = first if self.bad == "changes under way" else self.later
-        self.change_at = (rng.choice([0.25, 0.5, 1.0]), rng.uniform(0.05, 0.95))
+            self.then = first if self.bad in (BAD[-1], LAST) else self.later
+        self.change_at = (int(rng.integers(1, 5)), rng.uniform(0.05, 0.95))
+        if self.bad == BAD[-1] and self.change_at[0] == 4:
+            self.bad = LAST
         self.noise, self.force = LIMIT_M * 10.0 ** rng.uniform(-5.0, -4.0), rng.uniform(0.0, 0.3)
         return self.later.peak_db(self.old) < 10.0 and self.then.peak_db(self.old) < 10.0
 
@@ -234,10 +238,10 @@ class Machine:
         one = ExperimentTemplate("axis", "multisine", "controller_input", "position", signal, lead_s=0.2)
         self.study = Study("simulated", "servo-axis", (one,), ({"position_m": 0.0},), RATE, seed,
                            controllers={"position": draw.old.blocks})  # fmt: skip
-        self.rng = np.random.default_rng([2712, seed])
+        self.rng = np.random.default_rng([2812, seed])
         self.restart()
         self.track = track_share(draw.loaded, RATE, 0.1)
-        self.largest, self.back_after, self.done = 0.0, None, []
+        self.largest, self.back_after, self.done, self.recorded = 0.0, None, [], -1
 
     def restart(self):
         """At rest, the old controller alone."""
@@ -277,7 +281,7 @@ class Machine:
         out, back = self.ran(np.zeros(n.size), n, plants, before + change)
         if back < n.size and changes == 2.0:
             first = before + change if change < 10**9 else 0
-            self.back_after = back - first if self.draw.bad == "changes under way" else int(self.trial[TICKS])
+            self.back_after = back - first if self.draw.bad in (BAD[-1], LAST) else int(self.trial[TICKS])
         self.ran(np.zeros(rest), np.zeros(rest), plants, 0 if change < 10**9 else 10**9)
         out = out[before : max(back, before + 1)] if back < n.size else out[before:]
         columns = {"t_s": np.arange(len(out)) / RATE, "reference_m": np.zeros(len(out)),
@@ -290,7 +294,7 @@ class Machine:
     def record(self, share, controller, watch, longer):
         """As the course asks; the change of a machine that changes under way falls into one share's recording."""
         d = self.draw
-        plants = (d.then, d.later) if d.bad == "changes under way" else (d.later, d.later)
+        plants = (d.then, d.later) if d.bad in (BAD[-1], LAST) else (d.later, d.later)
         if getattr(self, "changed", False):
             plants = (d.later, d.later)
         if watch is not None:
@@ -302,8 +306,8 @@ class Machine:
                 self.back_after = int(self.trial[TICKS])
                 self.ran(np.zeros(int(AFTER_S * RATE)), np.zeros(int(AFTER_S * RATE)), (plants[0],) * 2, 10**9)
                 return None
-        change = 10**9
-        if d.bad == "changes under way" and share == d.change_at[0] and not getattr(self, "changed", False):
+        change, self.recorded = 10**9, self.recorded + 1
+        if d.bad in (BAD[-1], LAST) and self.recorded == d.change_at[0] and not getattr(self, "changed", False):
             change, self.changed = int(d.change_at[1] * 12_000), True
         return self.measured(share, controller, longer, plants, change)[0]
 
@@ -389,11 +393,11 @@ def main(draws):
             rows.append(tried(k))
             print(*rows[-1].values(), flush=True)
     write("draws.csv", list(rows[0]), [list(row.values()) for row in rows])
-    kinds = [(wrong, holds) for wrong in ("none", *BAD) for holds in (True, False)]
+    kinds = [(wrong, holds) for wrong in ("none", *BAD, LAST) for holds in (True, False)]
     table = [row_of(*kind, [r for r in rows if (r["wrong"], r["holds"]) == kind]) for kind in kinds]
-    good = [r for r in rows if r["holds"] and "loaded" not in r["wrong"]]
+    good = [r for r in rows if r["holds"] and "loaded" not in r["wrong"] and r["wrong"] != LAST]
     table.append(row_of("all that hold and were checked", True, good))
-    table.append(row_of("all that do not", False, [r for r in rows if not r["holds"]]))
+    table.append(row_of("all that do not", False, [r for r in rows if not r["holds"] and r["wrong"] != LAST]))
     columns = ("what_is_wrong", "holds", "draws", "adopted", "went_back", "undecided", "refused", "back_by_the_target",
                "most_ticks_to_go_back", "largest_of_limit_percent")  # fmt: skip
     write("tunes.csv", columns, [row for row in table if row[2]])

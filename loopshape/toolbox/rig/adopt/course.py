@@ -180,6 +180,8 @@ class _Measured:
     periods: Periods
     error_rms: float
     recorded_s: float
+    ends: tuple[FRF, ...]
+    """The plant by the last half of the periods, and by the last two: a machine that changed under way shows there."""
 
     @classmethod
     def of(cls, recording: Recording, loop: LoopSetup, controller: Controller) -> _Measured:
@@ -188,7 +190,20 @@ class _Measured:
         rms = float(np.sqrt(np.mean(periods.error**2) + np.mean(periods.error_rest**2)))
         S = replace(estimate_sensitivity(recording, own), recorded_under=controller)
         n = np.asarray(recording.column(loop.control)).size
-        return cls(estimate_frf(recording, own), S, periods, rms, n / recording.rate_hz)
+        ends = tuple(estimate_frf(one, own) for one in _ends(recording, len(periods.answers)))
+        return cls(estimate_frf(recording, own), S, periods, rms, n / recording.rate_hz, ends)
+
+
+def _ends(recording: Recording, count: int) -> list[Recording]:
+    """The last half of so many periods, and the last two, where that is less than all of them."""
+    info, made = recording.info, []
+    period = round((info.period_s or 0.0) * recording.rate_hz)
+    end = round((info.periodic_from_s or 0.0) * recording.rate_hz) + count * period
+    for kept in sorted({count // 2, 2} - {count, 0, 1}):
+        columns = {name: np.asarray(recording.column(name))[end - kept * period : end] for name in recording.columns}
+        columns["t_s"] = np.arange(kept * period) / recording.rate_hz
+        made.append(Recording(replace(info, periodic_from_s=0.0), recording.rate_hz, columns))
+    return made
 
 
 Report = Callable[[Step], None]
@@ -218,7 +233,7 @@ def adopt(trial: Trial, machine: Machine, before: Sequence[FRF], report: Report 
     if ended(step) or base is None:
         return end(step.outcome or Adopted.UNDECIDED, step.reason)
     last, under = base, trial.old
-    for share in trial.settings.shares:
+    for share in (*trial.settings.shares, 1.0):  # what changes while the last share is recorded shows in its second
         last_or_none, step = _share(trial, machine, share, base, last, under)
         if ended(step) or last_or_none is None:
             machine.back()
@@ -321,6 +336,9 @@ def _tested(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) 
     if measured.periods.changed(settings.tolerance_db) < UNSTEADY:
         return replace(step, reason="the machine changed while it was recorded", outcome=Adopted.UNDECIDED)
     left = tuple(one for one in settings.shares if one > step.share) or (1.0,)
+    for end in measured.ends:
+        if end.valid.any() and (late := trial.forecast(end, left)).outcome is Outcome.FAILED:
+            return replace(step, reason=f"on the plant of its end, {late.reason}", outcome=Adopted.WENT_BACK)
     plant = trial.forecast(measured.P, left)
     last = step.share == settings.shares[-1]
     if plant.outcome is Outcome.FAILED:

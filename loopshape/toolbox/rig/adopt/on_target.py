@@ -46,6 +46,7 @@ class OnTarget:
     def record(self, share: float, controller: Controller, watch: Watch | None, longer: float) -> Recording | None:
         """As `Machine.record`; the run of a share lies in a folder of its own, under the controller that closed it."""
         name = f"a{round(100.0 * share):03d}" + ("" if longer == 1.0 else "-longer")
+        name += "-again" if (self.folder / name).exists() else ""
         study, planned = self._of(controller, name, longer)
         e = experiment(study, self.plant, planned)
         if watch is not None:

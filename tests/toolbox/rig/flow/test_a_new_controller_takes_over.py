@@ -46,12 +46,12 @@ def test_one_that_does_what_was_predicted_is_adopted(study, run, tmp_path):
     with Running(lambda: target(1)) as line:
         found = ls.rig.adopt(run, new(11.0), study, tmp_path / "out", port=line.port, requirements=[REQUIRED], arm=True)
         assert found.outcome == "adopted", found.reason
-        assert [one.share for one in found.steps] == [0.0, 0.25, 0.5, 1.0]
+        assert [one.share for one in found.steps] == [0.0, 0.25, 0.5, 1.0, 1.0]
         assert line.target.settings.trial.phase == KEPT
     for one in found.steps[1:]:
         low, high = one.expected.error_rms
         assert 0.8 * low < one.error_rms < 1.2 * high
-    assert [line["event"] for line in journal(tmp_path / "out")] == ["armed", *["share"] * 4, "adopted"]
+    assert [line["event"] for line in journal(tmp_path / "out")] == ["armed", *["share"] * 5, "adopted"]
     half = ls.read(tmp_path / "out" / "a050")
     np.testing.assert_allclose(
         half.loop("axis1").controller.response([3.0, 30.0]),
