@@ -336,11 +336,11 @@ def _tested(trial: Trial, step: Step, predicted: Foreseen, measured: _Measured) 
     if measured.periods.changed(settings.tolerance_db) < UNSTEADY:
         return replace(step, reason="the machine changed while it was recorded", outcome=Adopted.UNDECIDED)
     left = tuple(one for one in settings.shares if one > step.share) or (1.0,)
-    for end in measured.ends:
+    last = step.share == settings.shares[-1]
+    for end in measured.ends if last else ():
         if end.valid.any() and (late := trial.forecast(end, left)).outcome is Outcome.FAILED:
             return replace(step, reason=f"on the plant of its end, {late.reason}", outcome=Adopted.WENT_BACK)
     plant = trial.forecast(measured.P, left)
-    last = step.share == settings.shares[-1]
     if plant.outcome is Outcome.FAILED:
         return replace(step, reason=f"on the plant as it is now, {plant.reason}", outcome=Adopted.WENT_BACK)
     if last and plant.outcome is not Outcome.PASSED:

@@ -27,7 +27,7 @@ SHARES = (0.25, 0.5, 1.0)
 WAY_PEAK_DB = 10.0
 #: what is required of the new controller where nothing is: |S| of at most 6 dB is a modulus margin of 0.5
 PEAK_DB = 6.0
-#: relative std of a line that is known
+#: relative std of lines that are known, in the median of five
 KNOWN = 0.1
 
 
@@ -138,12 +138,18 @@ def forecast(P: FRF, old: Controller, new: Controller, R: Requirements, shares: 
 
 
 def with_known_lines(P: FRF) -> FRF | None:
-    """The FRF with every line that is known to 10 % in its valid band; None where that has them all.
+    """The FRF with all lines up to the last that is known to 10 % in its valid band; None where that has them.
 
-    An antiresonance that noise covers ends a valid band, and the resonance beside it, known well, lies outside.
+    An antiresonance that noise covers ends a valid band, and the resonance beside it, known well, would lie outside.
     """
-    known = (P.relative_std[:, 0, 0] <= KNOWN) & np.isfinite(P.relative_std[:, 0, 0])
-    return None if (P.valid | ~known).all() else replace(P, valid=P.valid | known)
+    relative = np.where(np.isfinite(P.relative_std[:, 0, 0]), P.relative_std[:, 0, 0], np.inf)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(relative, 2, mode="edge"), 5)
+    known = np.flatnonzero(np.median(around, axis=1) <= KNOWN)
+    if not known.size:
+        return None
+    wider = np.isfinite(relative)
+    wider[: known[0]] = wider[known[-1] + 1 :] = False
+    return None if (P.valid | ~wider).all() else replace(P, valid=P.valid | wider)
 
 
 def _verdict_words(verdict: Verdict) -> str:
