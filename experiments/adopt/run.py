@@ -32,7 +32,7 @@ BAD = ("gain", "gain, loaded alone", "no notch", "no notch, loaded alone", "reso
 LAST = "changes in the last recording"
 AFTER_S, REST_S, KEPT_S = 1.0, 0.5, 20.0
 #: the draw of the documentation's picture
-SHOWN = 63
+SHOWN = 127
 #: places in the state of a trial, as `trial.c` has them
 PHASE, WHY, TICKS, SEEN, OFFSET, SHARE, FROM, SUM, BEFORE, RISING, VALUE, AT_LIMIT = range(12)
 
