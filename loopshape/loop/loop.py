@@ -41,6 +41,8 @@ if TYPE_CHECKING:
 
 #: lines above the band known to this share of their size, at the end of their circle, tell what |L| is there
 KNOWN_ABOVE = 0.2
+#: the highest lines are those from this share of the last frequency on
+HIGHEST = 0.6
 Values = TypeVar("Values", bound=np.ndarray)
 
 
@@ -277,6 +279,21 @@ class Loop:
         C = self.controller.response(f[rows])
         middle = C * P[rows] * (1.0 - reach[rows] / np.abs(P[rows]))
         return float(np.max(1.0 - np.abs(1.0 + middle) + np.abs(C) * reach[rows], initial=0.0))
+
+    @cached_property
+    def rise_above(self) -> float:
+        """|L| of one loop where it is largest above the last line, 0 where it does not rise there.
+
+        The controller is known there, as behind a notch at the band's end; |P| falls on as over the highest lines.
+        """
+        if not self.above_hz.size:
+            return 0.0
+        f, P = self.frequency_hz, np.abs(self.plant.siso)
+        tail = slice(int(np.searchsorted(f, HIGHEST * f[-1])), None)
+        slope = np.polyfit(np.log(f[tail]), np.log(np.maximum(P[tail], 1e-300)), 1)[0] if f[tail].size > 2 else -1.0
+        size = P[-1] * (self.above_hz / f[-1]) ** min(float(slope), 0.0) * np.abs(self.C_above)
+        largest = float(size.max())
+        return largest if largest > abs(self.L[-1]) else 0.0
 
     @property
     def below_hz(self) -> Array:

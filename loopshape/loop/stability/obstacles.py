@@ -10,7 +10,7 @@ from scipy.special import ndtr
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
-from loopshape.loop.loop import Loop
+from loopshape.loop.loop import HIGHEST, Loop
 from loopshape.loop.margin.between import (
     Path,
     chords_to_minus_one,
@@ -239,6 +239,7 @@ def obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Ite
 
 def _obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Undecided | None]:
     yield _too_short(loop, loop.L, loop.frequency_hz)
+    yield _rises_above(loop)
     yield comes_up_again(loop)
     yield on_it(path, between)
     freedom = loop.plant.variance_freedom if loop.raw is None else np.inf
@@ -256,9 +257,17 @@ def _too_short(loop: Loop, L: ComplexArray, f: Array) -> Undecided | None:
     return Undecided(reason, (float(f[-1]), max(float(top), float(f[-1]))))
 
 
+def _rises_above(loop: Loop) -> Undecided | None:
+    if loop.rise_above < 1.0:
+        return None
+    last = float(loop.frequency_hz[-1])
+    reason = f"the controller rises above the last line, {last:.3g} Hz: |L| may reach {loop.rise_above:.2g} there"
+    return Undecided(f"{reason}; measure higher", (last, float(loop.above_hz[-1])))
+
+
 def slope_at_end(f: Array, L: ComplexArray) -> float:
     """How steeply |L| falls over the highest lines, 1 for 20 dB a decade; taken as 1 where fewer than three tell."""
-    tail = slice(int(np.searchsorted(f, 0.6 * f[-1])), None)
+    tail = slice(int(np.searchsorted(f, HIGHEST * f[-1])), None)
     if f[tail].size < 3:
         return 1.0
     return float(-np.polyfit(np.log(f[tail]), np.log(np.maximum(np.abs(L[tail]), 1e-300)), 1)[0])

@@ -5,6 +5,7 @@ import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Compl
 import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
 import { belowLines, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
+import { aboveHz } from "./margins";
 import { angleOf, chords } from "./turns";
 
 export interface Stability {
@@ -186,7 +187,7 @@ function turnToFirst(
 }
 
 function undecidedBy(loop: Loop, between: Past, start: number[] | null): Undecided | null {
-  return tooShort(loop) ?? comesUpAgain(loop) ?? onIt(loop, between) ?? doubt(loop, between, start) ?? between.unclear ?? hole(loop);
+  return tooShort(loop) ?? risesAbove(loop) ?? comesUpAgain(loop) ?? onIt(loop, between) ?? doubt(loop, between, start) ?? between.unclear ?? hole(loop);
 }
 
 function tooShort({ f, L }: Loop): Undecided | null {
@@ -194,6 +195,35 @@ function tooShort({ f, L }: Loop): Undecided | null {
   const size = Math.hypot(L.re[last], L.im[last]);
   if (size < 1) return null;
   return { reason: `|L| is still ${short(size, 2)} at the last line, ${short(f[last])} Hz: measure higher`, band_hz: null };
+}
+
+/** |L| where it is largest above the last line, |P| falling on as over the highest; 0 where it does not rise (`Loop.rise_above`). */
+function riseAbove({ f, L, C, controller }: Loop): number {
+  const end = f.length - 1;
+  const aboveF = aboveHz(f[end], controller.rate_hz);
+  if (!aboveF.length) return 0;
+  const size = magnitudes(L).map((x, k) => x / Math.hypot(C.re[k], C.im[k]));
+  const first = placeIn(f, 0.6 * f[end]);
+  const slope = end - first < 2 ? -1 : Math.min(steepness(f.subarray(first), size.subarray(first)), 0);
+  const largest = Math.max(...magnitudes(control.responseOn(controller, aboveF)).map((c, k) => size[end] * (aboveF[k] / f[end]) ** slope * c));
+  return largest > Math.hypot(L.re[end], L.im[end]) ? largest : 0;
+}
+
+/** d ln size/d ln f by least squares. */
+function steepness(f: Real, size: Real): number {
+  const x = f.map(Math.log);
+  const y = size.map((value) => Math.log(Math.max(value, 1e-300)));
+  const [mx, my] = [x, y].map((values) => values.reduce((sum, value) => sum + value, 0) / f.length);
+  let [up, down] = [0, 0];
+  for (let k = 0; k < f.length; k++) [up, down] = [up + (x[k] - mx) * (y[k] - my), down + (x[k] - mx) ** 2];
+  return up / down;
+}
+
+function risesAbove(loop: Loop): Undecided | null {
+  const rise = riseAbove(loop);
+  if (rise < 1) return null;
+  const last = short(loop.f[loop.f.length - 1]);
+  return { reason: `the controller rises above the last line, ${last} Hz: |L| may reach ${short(rise, 2)} there; measure higher`, band_hz: null };
 }
 
 function comesUpAgain({ point, controller }: Loop): Undecided | null {
