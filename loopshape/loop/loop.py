@@ -282,18 +282,22 @@ class Loop:
 
     @cached_property
     def rise_above(self) -> float:
-        """|L| of one loop where it is largest above the last line, 0 where it does not rise there.
+        """|L| of one loop where it is largest above all lines, 0 where it does not rise there.
 
-        The controller is known there, as behind a notch at the band's end; |P| falls on as over the highest lines.
+        The controller is known there, as behind a notch at the band's end; |P| falls on as over the highest lines,
+        `beyond` among them.
         """
-        if not self.above_hz.size:
-            return 0.0
         f, P = self.frequency_hz, np.abs(self.plant.siso)
+        if self.beyond is not None:
+            f, P = np.append(f, self.beyond.frequency_hz), np.append(P, np.abs(self.beyond.siso))
+        above = self.above_hz > f[-1]
+        if not above.any():
+            return 0.0
         tail = slice(int(np.searchsorted(f, HIGHEST * f[-1])), None)
         slope = np.polyfit(np.log(f[tail]), np.log(np.maximum(P[tail], 1e-300)), 1)[0] if f[tail].size > 2 else -1.0
-        size = P[-1] * (self.above_hz / f[-1]) ** min(float(slope), 0.0) * np.abs(self.C_above)
+        size = P[-1] * (self.above_hz[above] / f[-1]) ** min(float(slope), 0.0) * np.abs(self.C_above[above])
         largest = float(size.max())
-        return largest if largest > abs(self.L[-1]) else 0.0
+        return largest if largest > P[-1] * abs(self.controller.response(f[-1:])[0]) else 0.0
 
     @property
     def below_hz(self) -> Array:

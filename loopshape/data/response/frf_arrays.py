@@ -220,6 +220,8 @@ def _by_coherence(H: ComplexArray, coherence: Array, averages: float, keep: slic
 
 #: a line is known where its relative standard deviation is below the first; a gap up to the second is bridged
 KNOWN, _BRIDGED = 0.1, 0.3
+#: lines of a band of its own beyond one that noise covers
+LEAST_KNOWN = 5
 
 
 def valid_lines(frequency_hz: Array, relative_std: Array, excited: np.ndarray) -> np.ndarray:
@@ -227,7 +229,8 @@ def valid_lines(frequency_hz: Array, relative_std: Array, excited: np.ndarray) -
 
     A moving median over five lines decides. Within the band no excited line is left out: a resonance between
     known lines is often the least known, and a check must not overlook it; stretches known to 30 % only are
-    bridged for its sake.
+    bridged for its sake. Noise that covers an antiresonance does not end the band: it reaches as far as others that are
+    known.
     """
     relative = np.where(np.isfinite(relative_std), relative_std, np.inf)
     padded = np.pad(relative, 2, mode="edge")
@@ -240,7 +243,21 @@ def valid_lines(frequency_hz: Array, relative_std: Array, excited: np.ndarray) -
             best = float(width)
             mask[:] = False
             mask[known[0] : known[-1] + 1] = True
-    return np.asarray(mask & excited & np.isfinite(relative_std))
+    usable = excited & np.isfinite(relative_std)
+    for start, end in _stretches(usable):
+        if best and mask[start:end].any():
+            mask[start:end] = _with_known(mask[start:end], median[start:end] <= KNOWN)
+    return np.asarray(mask & usable)
+
+
+def _with_known(band: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """A band out to others of five lines and more that are known, and what lies between."""
+    every = band.copy()
+    for start, end in _stretches(known):
+        every[start:end] |= end - start >= LEAST_KNOWN
+    used = np.flatnonzero(every)
+    every[used[0] : used[-1] + 1] = True
+    return every
 
 
 def _stretches(mask: np.ndarray) -> list[tuple[int, int]]:

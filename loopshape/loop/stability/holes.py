@@ -106,8 +106,8 @@ def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
         return None
     first = gaps[hides[0]]
     last = hides[0]
-    while last + 1 in hides and ends[last + 1, 0] == ends[last, 1]:
-        last += 1
+    for k in hides[1:]:  # one measurement for all that lie within an octave of each other
+        last = k if ends[k, 0] <= (1.0 if gaps[k].missing else 2.0) * ends[last, 1] else last
     low, high = first.low_hz, float(ends[last, 1])
     if first.missing and last == hides[0]:
         words = f"no frequency lies between {low:.4g} and {high:.4g} Hz"

@@ -9,7 +9,7 @@ ordinary coherence does not say this, and it is not used.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -75,12 +75,12 @@ def frf_of(found: ForeignFRF, stated: Stated | None = None) -> FRF:
         )
         words |= {"variance_freedom": freedom} if "covariance" not in found.arrays and freedom is not None else {}
         valid = found.arrays.get("valid")
-        if valid is None:
-            valid = valid_frequencies(found.frequency_hz, found.response, covariance)
-        return FRF(
-            frequency_hz=found.frequency_hz, response=found.response, covariance=covariance, valid=valid,
-            **arrays, **words,
+        made = FRF(
+            frequency_hz=found.frequency_hz, response=found.response, covariance=covariance,
+            valid=np.ones(found.frequency_hz.size, dtype=bool) if valid is None else valid, **arrays, **words,
         )  # fmt: skip
+        known = valid_frequencies(made.frequency_hz, made.response, made.covariance) if valid is None else made.valid
+        return replace(made, valid=known)
 
 
 def _check_stated(stated: Stated) -> None:

@@ -197,16 +197,20 @@ function tooShort({ f, L }: Loop): Undecided | null {
   return { reason: `|L| is still ${short(size, 2)} at the last line, ${short(f[last])} Hz: measure higher`, band_hz: null };
 }
 
-/** |L| where it is largest above the last line, |P| falling on as over the highest; 0 where it does not rise (`Loop.rise_above`). */
-function riseAbove({ f, L, C, controller }: Loop): number {
-  const end = f.length - 1;
-  const aboveF = aboveHz(f[end], controller.rate_hz);
+/** |L| where it is largest above all lines, |P| falling on as over the highest; 0 where it does not rise (`Loop.rise_above`). */
+function riseAbove({ point, f, L, C, controller }: Loop): number {
+  const own = magnitudes(L).map((x, k) => x / Math.hypot(C.re[k], C.im[k]));
+  const more = point.above_band;
+  const lines = more ? concat(f, more.f) : f;
+  const size = more ? concat(own, magnitudes(more.P)) : own;
+  const end = lines.length - 1;
+  const aboveF = aboveHz(f[f.length - 1], controller.rate_hz).filter((x) => x > lines[end]);
   if (!aboveF.length) return 0;
-  const size = magnitudes(L).map((x, k) => x / Math.hypot(C.re[k], C.im[k]));
-  const first = placeIn(f, 0.6 * f[end]);
-  const slope = end - first < 2 ? -1 : Math.min(steepness(f.subarray(first), size.subarray(first)), 0);
-  const largest = Math.max(...magnitudes(control.responseOn(controller, aboveF)).map((c, k) => size[end] * (aboveF[k] / f[end]) ** slope * c));
-  return largest > Math.hypot(L.re[end], L.im[end]) ? largest : 0;
+  const first = placeIn(lines, 0.6 * lines[end]);
+  const slope = end - first < 2 ? -1 : Math.min(steepness(lines.subarray(first), size.subarray(first)), 0);
+  const largest = Math.max(...magnitudes(control.responseOn(controller, aboveF)).map((c, k) => size[end] * (aboveF[k] / lines[end]) ** slope * c));
+  const [last] = magnitudes(control.responseOn(controller, lines.subarray(end)));
+  return largest > size[end] * last ? largest : 0;
 }
 
 /** d ln size/d ln f by least squares. */
@@ -350,7 +354,9 @@ function unseen({ point, controller, plant }: Loop): Undecided | null {
   const first = hides.indexOf(true);
   if (first < 0) return null;
   let last = first;
-  while (hides[last + 1] && gaps[last + 1].hz[0] === gaps[last].hz[1]) last += 1;
+  gaps.forEach((gap, k) => {
+    if (k > first && hides[k] && gap.hz[0] <= (gap.missing ? 1 : 2) * gaps[last].hz[1]) last = k;
+  });
   const [low, high] = [gaps[first].hz[0], gaps[last].hz[1]];
   const reason =
     gaps[first].missing && last === first
