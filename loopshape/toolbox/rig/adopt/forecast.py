@@ -130,26 +130,8 @@ def forecast(P: FRF, old: Controller, new: Controller, R: Requirements, shares: 
     from loopshape.verbs.chain import check
 
     verdict = check(P, new, R)
-    if verdict.outcome is not Outcome.FAILED and (wider := with_known_lines(P)) is not None:
-        beyond = check(wider, new, R)
-        verdict = beyond if beyond.outcome is Outcome.FAILED else verdict
     shares = () if verdict.outcome is Outcome.FAILED else shares
     return Forecast(tuple(foresee(P, blended(old, new, share), R, share) for share in shares), verdict)
-
-
-def with_known_lines(P: FRF) -> FRF | None:
-    """The FRF with all lines up to the last that is known to 10 % in its valid band; None where that has them.
-
-    An antiresonance that noise covers ends a valid band, and the resonance beside it, known well, would lie outside.
-    """
-    relative = np.where(np.isfinite(P.relative_std[:, 0, 0]), P.relative_std[:, 0, 0], np.inf)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(relative, 2, mode="edge"), 5)
-    known = np.flatnonzero(np.median(around, axis=1) <= KNOWN)
-    if not known.size:
-        return None
-    wider = np.isfinite(relative)
-    wider[: known[0]] = wider[known[-1] + 1 :] = False
-    return None if (P.valid | ~wider).all() else replace(P, valid=P.valid | wider)
 
 
 def _verdict_words(verdict: Verdict) -> str:
