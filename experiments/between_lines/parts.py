@@ -14,6 +14,7 @@ import numpy as np
 from loopshape.identify.smooth import smoothing
 from loopshape.loop.margin import between
 from loopshape.loop.stability import holes, obstacles
+from loopshape.loop.tolerances import TOL
 
 Site = tuple[ModuleType | type, str]
 
@@ -65,7 +66,7 @@ def _near_enough(loop: Any, path: Any) -> list[SimpleNamespace]:
         return []
     f, near = loop.frequency_hz, obstacles._nearest(path)
     C = obstacles._larger(np.abs(loop.C))
-    radius = C * np.minimum(np.diff(f) / (obstacles.SHARPEST * f[:-1]), obstacles.PEAK)
+    radius = C * np.minimum(np.diff(f) / (obstacles.SHARPEST * f[:-1]), TOL.unseen_peak)
     return [
         SimpleNamespace(first=x.low, last=x.high, left=None)
         for x in found
@@ -79,7 +80,7 @@ def _rough(loop: Any, path: Any) -> list[SimpleNamespace]:
     if not (size > 0.0).any():
         return []
     f, near = loop.frequency_hz, obstacles._nearest(path)
-    radius = np.minimum(np.diff(f) / (obstacles.SHARPEST * f[:-1]), obstacles.PEAK)
+    radius = np.minimum(np.diff(f) / (obstacles.SHARPEST * f[:-1]), TOL.unseen_peak)
     gaps = np.flatnonzero(~scatter & (obstacles._larger(np.abs(loop.C)) * size * radius > near))
     return [SimpleNamespace(first=int(gaps[0]), last=int(gaps[-1]) + 1, left=None)] if gaps.size else []
 

@@ -48,7 +48,7 @@ class Question:
 
     def answered(self) -> tuple[str, ...]:
         """Stability, outcome and the outcome of each line; of an FRF of its own, which nothing remembers."""
-        found = check([replace(self.frf)], self.controller, self.asked, detuned=False)
+        found = check([replace(self.frf)], self.controller, self.asked)
         (margins,) = found.margins.values()
         return margins.stable, found.outcome.value, *(line.outcome for line in found.lines)
 

@@ -17,7 +17,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.margins import Margins
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.loop.predict.indicators import recorded_steps
@@ -53,17 +53,15 @@ def at_supply(study: Study, asked: Requirements, supply_bar: float, settings: Ma
     loop = header(mine, arm).loop("theta2")
     frfs = [estimate_frf(recording, loop) for recording in measure(mine, arm)]
     fits = [fit(frf, structure_by_name("third_order")) for frf in frfs]
-    search = {"starts": settings["starts"], "seed": 0}
-    robust = tune(frfs, asked, fits, draws=settings["draws"], **search).controller
+    search = Search(starts=settings["starts"], draws=settings["draws"])
+    robust = tune(frfs, asked, fits, search=search).controller
     own = own_ones(frfs, asked, robust, fits, settings)
     sets = {"robust": [robust] * len(frfs), "own": [p.own for p in own.points]}
     if supply_bar == settings["disturbance_at_bar"]:
         required = replace(asked, objective=Objective(0.0, 1.0, settings["disturbance_below_hz"]))
-        other = tune(frfs, required, fits, draws=settings["draws"], **search).controller
+        other = tune(frfs, required, fits, search=search).controller
         sets["robust, low lines"] = [other] * len(frfs)
-        sets["own, low lines"] = [
-            tune([frf], required, fits, draws=settings["draws"], explain=False, **search).controller for frf in frfs
-        ]
+        sets["own, low lines"] = [tune([frf], required, fits, explain=False, search=search).controller for frf in frfs]
     numbers = constants(ARM1_PARAMETERS.vector({"supply_bar": supply_bar}))
     pressure = pressure_controller(supply_bar)
     return AtSupply(

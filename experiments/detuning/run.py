@@ -76,7 +76,7 @@ def cancelled() -> Iterator[tuple]:
         asked = replace(FORMULA, detuning_percent=percent)
         found = tune([by_formula()], asked, explain=False)
         for shift in (-2.0, -1.0, 0.0, 1.0, 2.0):
-            verdict = check([by_formula(shift)], found.controller, replace(asked, detuning_percent=None), detuned=False)
+            verdict = check([by_formula(shift)], found.controller, replace(asked, detuning_percent=None))
             (m,) = verdict.margins.values()
             numbers = m.gain_margin_db, m.phase_margin_deg, m.sensitivity_peak_db, found.bandwidth_hz
             yield percent or 0.0, shift, m.stable, *numbers

@@ -20,10 +20,10 @@ from exam_cases import PLANT, catalogue, library_run
 
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose import attribute
-from loopshape.toolbox.gap.diagnose.decide import UNKNOWN_LEAVES
 from loopshape.toolbox.gap.diagnose.diagnose import BRIEF_S, PERIODIC_S
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.tolerances import TOL
 from loopshape.toolbox.rig.registry import diagnosable
 
 TABLE = Path(__file__).parent / "forms.csv"
@@ -72,14 +72,15 @@ def evidence_of(run: Run) -> Evidence:
 def of_what_is_left() -> tuple[int, float]:
     """How many fits leave a fifth of the gap at most, and how much a size is off for the share that they leave.
 
-    The logarithm by which a size is off is taken as normal with the deviation hypot(FORM_ERROR, factor * share); the
+    The logarithm by which a size is off is taken as normal with the deviation hypot(form_error, factor * share); the
     factor is the most likely one.
     """
-    near = [(float(r["share_left"]), float(r["log_ratio"])) for r in read() if float(r["share_left"]) < UNKNOWN_LEAVES]
+    pairs = [(float(r["share_left"]), float(r["log_ratio"])) for r in read()]
+    near = [pair for pair in pairs if pair[0] < TOL.unknown_leaves]
     share, error = np.array(near).T
 
     def surprise(factor: float) -> float:
-        variance = attribute.FORM_ERROR**2 + (factor * share) ** 2
+        variance = TOL.form_error**2 + (factor * share) ** 2
         return float(np.sum(0.5 * np.log(variance) + 0.5 * error**2 / variance))
 
     return len(near), float(minimize_scalar(surprise, bounds=(0.0, 20.0), method="bounded").x)

@@ -40,7 +40,7 @@ def held(noise: float, count: int, seed: int) -> Held:
         errors = noise * np.abs(P) * np.sqrt(0.5) * (rng.standard_normal(P.size) + 1j * rng.standard_normal(P.size))
         G, covariance = (P + errors)[:, None, None], ((noise * np.abs(P)) ** 2)[:, None, None] + 0j
         frf = replace(one.frf, response=G, covariance=covariance, valid=np.ones(P.size, dtype=bool))
-        (read,) = check([frf], one.controller, one.asked, detuned=False).margins.values()
+        (read,) = check([frf], one.controller, one.asked).margins.values()
         gain, *blocks = one.controller.blocks
         loop = in_series(one.plant, tuple(blocks))
         for name, truth in exact(loop, gain.parameters["gain"], dense_hz(loop)).items():

@@ -148,10 +148,7 @@ def between_lines() -> Iterator[Row]:
         dense = np.unique(np.concatenate([np.geomspace(f[0], f[-1], 200_000), *around]))
         truth = exact_margins(plant, unit, dense)
         for noise in (0.01, 0.03):
-            found = [
-                check([lines_of(plant, f, noise, seed)], unit, wish, detuned=False).margins["one"]
-                for seed in range(DRAWS)
-            ]
+            found = [check([lines_of(plant, f, noise, seed)], unit, wish).margins["one"] for seed in range(DRAWS)]
             for quantity, value in truth.items():
                 inside = np.mean([m.intervals[quantity][0] <= value <= m.intervals[quantity][1] for m in found])
                 middle = float(np.median([getattr(m, quantity) for m in found]))
@@ -163,7 +160,8 @@ def exact_margins(plant: Plant, controller: Controller, dense_hz: Array) -> dict
     """Margins of the formula on a grid so dense that chords do not matter."""
     C = controller.response(dense_hz)
     above = np.array([dense_hz[-1], 1.1 * dense_hz[-1]])
-    found, _ = Reader().read(dense_hz, (plant(dense_hz) * C)[None], C, above, controller.response(above))
+    lines = kernel.Lines(dense_hz, C, above, controller.response(above))
+    found, _ = Reader().read((plant(dense_hz) * C)[None], lines)
     columns = found[0]
     return {
         "gain_margin_db": float(columns[kernel.GAIN_DB]),

@@ -89,7 +89,7 @@ def follow(seed: int, kind: str, k: int) -> Followed | None:
     """The k-th loop of a kind followed as far as three rounds, None where it is decided from the start."""
     one = draw(np.random.default_rng([seed, KINDS.index(kind), k]), kind)
     rng, first = np.random.default_rng([seed, 99, KINDS.index(kind), k]), one.frf
-    verdict = check([one.frf], one.controller, one.asked, detuned=False)
+    verdict = check([one.frf], one.controller, one.asked)
     outcomes, seconds, wrong = [verdict.outcome.value], [], ""
     if outcomes[0] != "undecided":
         return None
@@ -101,7 +101,7 @@ def follow(seed: int, kind: str, k: int) -> Followed | None:
         for order in orders:
             frf, taken = measured(rng, one, first, order)
             one, spent = replace(one, frf=frf), spent + taken
-        verdict = check([one.frf], one.controller, one.asked, detuned=False)
+        verdict = check([one.frf], one.controller, one.asked)
         outcomes, seconds = [*outcomes, verdict.outcome.value], [*seconds, spent]
         wrong = one.wrong(outcomes[-1])
     return Followed(f"{kind} {k}", tuple(outcomes), tuple(seconds), wrong, verdict)

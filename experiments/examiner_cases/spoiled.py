@@ -50,7 +50,7 @@ class Spoiled:
 
     def outcome(self) -> str:
         """What a check answers."""
-        return check([self.frf], self.controller, self.asked, self.fits, detuned=False).outcome.value
+        return check([self.frf], self.controller, self.asked, self.fits).outcome.value
 
     def wrong(self, outcome: str) -> str:
         """ "pass" or "fail" where the outcome is wrong, else nothing."""

@@ -22,7 +22,7 @@ from loopshape.design.growth import Task, library
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.shifts import copies_for
 from loopshape.design.search import LARGEST, initial_point, search
-from loopshape.design.tune import Tuning, tune
+from loopshape.design.tune import Search, Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.loops import loops_of
@@ -82,7 +82,7 @@ def cases(name: str) -> Case:
 def grow(name: str, case: Case) -> tuple[list[list[str]], Tuning]:
     """The rows of a case's growth and what it ends at."""
     begun = time.process_time()
-    found = tune(case[0], case[2], case[1], explain=False, grow=GROW[name])
+    found = tune(case[0], case[2], case[1], explain=False, search=Search(grow=GROW[name]))
     seconds = time.process_time() - begun
     rows = [
         [

@@ -13,13 +13,13 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.kernels.compiled import compiled
-from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array
 from loopshape.toolbox.arm.dynamics import closed_loop as kernel
 from loopshape.toolbox.arm.dynamics import memory, valves
 from loopshape.toolbox.arm.dynamics.equilibrium import rest
 from loopshape.toolbox.arm.effect import effect_parameters as e
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, Sensors, constants, sensor_constants
+from loopshape.toolbox.gap.noise import start_state
 
 TICK_S = 1e-3
 ROW = 3  # measured angle in rad, pressures in Pa

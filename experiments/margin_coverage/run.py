@@ -212,7 +212,7 @@ def _spoiled_rows(
     told = Requirements("axis", integrators=case.integrators, unstable_poles=case.unstable)
     controller, found = Controller("axis", case.blocks, RATE), []
     for _ in range(runs):
-        (one,) = check([spoiled(case, noise, how, rng)], controller, told, detuned=False).margins.values()
+        (one,) = check([spoiled(case, noise, how, rng)], controller, told).margins.values()
         found += [one] if one.stable == "stable" else []
     rows = []
     for q, true in truth.items():

@@ -22,7 +22,7 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit, TransferFunction
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.verdict import check
 
@@ -87,7 +87,7 @@ def rows(name: str) -> Iterator[list[object]]:
     yield judged(name, "hinfsyn on the fit", case, C, promised, seconds)
     for how, grow in (("structure", 0), ("structure and two blocks", 2)):
         begun = time.process_time()
-        found = tune([case.frf], case.asked, grow=grow, explain=False)
+        found = tune([case.frf], case.asked, explain=False, search=Search(grow=grow))
         seconds = time.process_time() - begun
         yield judged(name, how, case, found.controller, float("nan"), seconds)
 
@@ -95,7 +95,7 @@ def rows(name: str) -> Iterator[list[object]]:
 def judged(name: str, how: str, case: Case, C: Controller, promised: float, seconds: float) -> list[object]:
     """What `check` reads of a controller on the FRF."""
     print(f"{how}: {seconds:.1f} s", flush=True)
-    (m,) = check([case.frf], C, case.asked, detuned=False).margins.values()
+    (m,) = check([case.frf], C, case.asked).margins.values()
     order = sum(block.order() for block in C.blocks)
     return [
         name, how, order, promised, norm_on_fit(case, C), m.weighted_norm, *m.intervals["weighted_norm"],

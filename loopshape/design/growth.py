@@ -41,18 +41,12 @@ from loopshape.loop.margin.disturbed import disturbance_warnings, of_loop, of_po
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, verdict_from, with_warnings
 
-#: a block that gains less of the bandwidth than this is not added
-LEAST_GAIN = 0.01
 #: places of a new block across the band, its dampings there, and the radius (ln) of the step that its gain is read from
 PLACES, DAMPINGS, RADIUS = 40, (0.05, 0.2, 0.7, 1.5), 0.3
 #: a block may lie so many times outside the valid band, and below so much of the rate
 OUTSIDE, OF_RATE = 4.0, 0.4
 #: of the most promising places so many are searched for so many steps, and so many of them to their end
 FOLLOWED, FIRST, STAGE_POINTS, MOST, SETTLED = 10, 60, 4, 200, 3
-#: two places of one block and one damping are one where they lie nearer than this (ln)
-APART = 0.35
-#: crossings that the tuner reads lower than the check by less than this are those of the check
-SAME = 0.05
 #: rounds of adding the worst shift between those that were tuned for, and steps of the search in each
 SHIFTED, MORE = 8, 100
 
@@ -145,7 +139,8 @@ def lowest_bandwidth(stage: Stage) -> float:
     """
     read = float(min(m.bandwidth_hz for m in stage.verdict.margins.values()))
     mine = float(np.exp(stage.best.result.measures.ln_bandwidth.min()))
-    return mine if read > (1.0 + SAME) * mine else read
+    same = 0.05  # crossings that the tuner reads lower than the check by less than this are those of the check
+    return mine if read > (1.0 + same) * mine else read
 
 
 def step_of(stage: Stage) -> Grown:
@@ -227,8 +222,9 @@ def promising(p: Problem, x: Array, goal: Goal) -> list[Array]:
         _, promised = step_within(p, point, initial_point(p, point, goal).measures, RADIUS, goal)
         gains.append((promised, place, damping, point))
     chosen: list[tuple[float, float, float, Array]] = []
+    apart = 0.35  # two places of one block and one damping are one where they lie nearer than this (ln)
     for one in sorted(gains, key=lambda gain: -gain[0]):
-        if all(one[2] != other[2] or abs(np.log(one[1] / other[1])) > APART for other in chosen):
+        if all(one[2] != other[2] or abs(np.log(one[1] / other[1])) > apart for other in chosen):
             chosen.append(one)
     return [one[3] for one in chosen[:FOLLOWED]]
 
@@ -243,8 +239,6 @@ def _places(p: Problem) -> list[float]:
 _RUNGS, _BLOCKS = (1.3, 1.7, 2.2), 3
 #: random draws under a floor, those searched for a few steps, those searched on; and steps of either
 _DRAWS, _STARTS, _SEARCHED_ON, _SHORT, _LONG = 600, 24, 4, 60, 300
-#: a floor missed by more than this (ln) is out of reach
-_NEAR = 0.15
 
 
 def blockwise_growth(task: Task, stage: Stage, blocks: int, rng: np.random.Generator) -> Stage | None:
@@ -279,7 +273,8 @@ def _inside(p: Problem, tighten: Tighten, rng: np.random.Generator) -> Iterator[
     q, goal = p.coarse, Goal(tighten, objective=False, soft=None)
     coarse = [search(q, initial_point(q, one.x, goal), goal, _SHORT) for one in random_starts(q, rng, _DRAWS, _STARTS)]
     best = sorted(coarse, key=lambda one: goal.merit(one.measures))[:_SEARCHED_ON]
+    near = 0.15  # a floor missed by more than this (ln) is out of reach
     for one in best:
         end = search(p, initial_point(p, search(q, one, goal, _LONG).x, goal), goal, _LONG)
-        if goal.merit(end.measures) < _NEAR:
+        if goal.merit(end.measures) < near:
             yield end.x

@@ -25,12 +25,8 @@ from loopshape.design.tighten import TightenedSolution, Verifier, least_rooms, t
 
 #: searches for the least miss begin at this many of the race's ends, and take this many steps at most
 ENDS, STEPS = 3, 150
-#: rows whose room is this near to the least take part in the certificate (ln or rad)
-CLOSE = 2e-3
 #: what is missed by less than this (ln or rad) is met
 MET = 1e-5
-#: a relaxation is tried this often, each time a little larger
-TRIES = 3
 
 
 @dataclass(frozen=True)
@@ -144,7 +140,8 @@ def _certificate(p: Problem, least: SearchResult, tighten: Tighten) -> tuple[tup
     from scipy.optimize import nnls
 
     m = least.measures
-    rows = np.flatnonzero(m.room <= m.worst + CLOSE)
+    close = 2e-3  # rows whose room is this near to the least take part in the certificate (ln or rad)
+    rows = np.flatnonzero(m.room <= m.worst + close)
     slopes = m.room_slopes[rows]
     walls = [-np.eye(p.low.size)[least.x - p.low < 1e-6], np.eye(p.low.size)[p.high - least.x < 1e-6]]
     columns = np.vstack([slopes, *(-wall for wall in walls)]).T
@@ -189,7 +186,8 @@ def _relaxation(
     reachable, verified, bandwidth_hz = float("nan"), False, float("nan")
     if least is not None and float(least.measures.room[~goal.softs(least.measures)].min(initial=0.0)) > -MET:
         by = _needed(p, name, least, tighten)
-        for _ in range(TRIES):
+        tries = 3  # a relaxation is tried this often, each time a little larger
+        for _ in range(tries):
             asked = now + (by if limit.sense == "at_most" else -by)
             if asked <= 0.0 < now:
                 break

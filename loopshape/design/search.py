@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from loopshape.core.kernels.loops.small_lp import OPTIMAL, boxed_lp, linearised
+from loopshape.core.kernels.loops.small_lp import OPTIMAL, Rooms, Terms, boxed_lp, linearised
 from loopshape.core.units import Array
 from loopshape.design.problem.measures import Measures, measure
 from loopshape.design.problem.problem import Problem
@@ -153,4 +153,5 @@ def linear(m: Measures, goal: Goal, low: Array, high: Array) -> tuple[Array, Arr
     values = np.concatenate([np.zeros(0), *(value for _, value, _ in terms)])
     slopes = np.concatenate([np.zeros((0, low.size)), *(slopes for *_, slopes in terms)])
     weights = np.array([weight for weight, *_ in terms], dtype=float)
-    return linearised(values, slopes, term, weights, m.room, m.room_slopes, goal.softs(m), low, high, PENALTY)
+    rooms = Rooms(m.room, m.room_slopes, goal.softs(m))
+    return linearised(Terms(values, slopes, term, weights), rooms, low, high, PENALTY)

@@ -116,10 +116,6 @@ def leaps(p: Problem, best: SearchResult, rng: np.random.Generator, count: int) 
     return best, steps
 
 
-#: at most so many ranges of the gain between passages of -1, the widest ones, are tried for a stable start
-_RANGES = 8
-
-
 @dataclass(frozen=True, eq=False)
 class _QuickResult:
     """What is seen of a start: its merit, infinite where a loop is unstable, and x."""
@@ -215,7 +211,9 @@ def _between_passages(e: Evaluation, low: float, high: float) -> Array:
     at = e.axis[e.L.real[e.axis] < 0.0]
     passes = -e.ln_L[np.concatenate([at, e.p.first[:-1]])]  # change at which each lies at -1
     edges = np.unique(np.clip([low, *passes, high], low, high))
-    widest = np.argsort(edges[:-1] - edges[1:], kind="stable")[:_RANGES]
+    # at most so many ranges of the gain between passages of -1, the widest ones, are tried for a stable start
+    ranges = 8
+    widest = np.argsort(edges[:-1] - edges[1:], kind="stable")[:ranges]
     return np.asarray(0.5 * (edges[widest] + edges[widest + 1]))
 
 

@@ -31,14 +31,10 @@ class Verifier(Protocol):
 WATCHED = 0.1
 #: limits with less room than this bind; those points alone are asked about so many times between two rounds of all
 CLOSE, CLOSER = 0.002, 2
-#: what those points ask changes a little from one search to the next: so much of it is given on top
-STEADY = 0.05
 #: rounds of checking and searching on at most; from this one on limits are never loosened again
 ROUNDS, FIRM = 8, 3
 #: a result is settled where the limits that bind were tightened by no more than this (ln or rad) beyond what was needed
 WASTE = 0.003
-#: where stability is not decided, L is kept farther from -1 by this much (ln) a round
-SURER = 0.15
 #: a crossing that the check reads lower by so much (ln) comes from a dip of |L|, which is kept farther from 1 by so
 #: much (ln) a round
 DIPPED, HIGHER = 0.05, 0.1
@@ -146,6 +142,8 @@ def _nearer(
 
     What it asks changes with x, and there it counts: so fewer rounds read all points. `firm` as in `_tightened`.
     """
+    # what those points ask changes a little from one search to the next: so much of it is given on top
+    steady = 0.05
     for _ in range(CLOSER):
         binding = np.flatnonzero(_rooms(p, best.measures) < CLOSE)
         if not 0 < 2 * binding.size <= p.points or not best.measures.stable:
@@ -156,7 +154,7 @@ def _nearer(
             break
         there = np.isin(np.arange(p.points), binding)
         rises = {name: np.maximum(needed - given[name], 0.0) for name, needed in asked.items()}
-        more = {name: _a_little_more(p, name, asked[name], rise) + STEADY * asked[name] for name, rise in rises.items()}
+        more = {name: _a_little_more(p, name, asked[name], rise) + steady * asked[name] for name, rise in rises.items()}
         if firm:
             more = {name: np.maximum(given[name], own) for name, own in more.items()}
         tighten = {**tighten, **{name: np.where(there, own, given[name]) for name, own in more.items()}}
@@ -250,4 +248,5 @@ def _tightened(
         out[name] = float(np.max(before.get(name, 0.0))) + (2.0 * missed + 1e-5 if missed else 0.0)
     unsure = np.array([m.stable is not ClosedLoop.STABLE for m in verdict.margins.values()])
     sure, dip = (np.broadcast_to(np.asarray(before.get(name, 0.0), dtype=float), p.points) for name in (SURE, DIP))
-    return out | {SURE: sure + SURER * unsure, DIP: dip + HIGHER * now.dipped}
+    surer = 0.15  # where stability is not decided, L is kept farther from -1 by this much (ln) a round
+    return out | {SURE: sure + surer * unsure, DIP: dip + HIGHER * now.dipped}

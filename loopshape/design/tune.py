@@ -18,7 +18,6 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.growth import (
-    LEAST_GAIN,
     Grown,
     Stage,
     Task,
@@ -39,6 +38,26 @@ from loopshape.design.starts import random_starts, settled, tournament
 from loopshape.design.tighten import TightenedSolution, Verifier, norm
 from loopshape.loop.loops import loops_of
 from loopshape.loop.verdict import refuse_too_high
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a tuning searches: with the same numbers it ends at the same controller.
+
+    Of `draws` random starts from `seed` the best `starts` are followed. Up to `grow` blocks are added to the structure,
+    each the one that pays most, until one gains less than `least_gain` of the bandwidth. Several loops are tuned in
+    turn for `rounds` rounds at most.
+    """
+
+    seed: int = 0
+    starts: int = 16
+    draws: int = 60
+    grow: int = 0
+    least_gain: float = 0.01
+    rounds: int = 10
+
+
+SEARCH = Search()
 
 
 @dataclass(frozen=True)
@@ -104,20 +123,16 @@ def tune(
     frfs: Sequence[FRF],
     requirements: Requirements,
     fits: Sequence[Fit] = (),
+    search: Search = SEARCH,
     *,
     start: Controller | None = None,
-    seed: int = 0,
-    starts: int = 16,
-    draws: int = 60,
     explain: bool = True,
-    grow: int = 0,
-    least_gain: float = LEAST_GAIN,
     disturbances: Sequence[Disturbance] = (),
 ) -> Tuning:
-    """Tune a structure to several measured plants at once; same input and seed, same controller.
+    """Tune a structure to several measured plants at once; same input and search, same controller.
 
     Maximises the requirements' objective (the lowest bandwidth, unless they say otherwise) over all FRFs subject to
-    every requirement at every one, on the valid lines. Of `draws` random starts within the bounds the best `starts`
+    every requirement at every one, on the valid lines. Of random starts within the bounds the best
     are followed a few steps, the best third of them further, and the best leaps from there; lines between which the
     plant runs straight are left out until what came out best is searched on, on all of them. Structures that this one
     contains, where a lead_lag or a notch does nothing, are searched first, and their optima are starts too. What comes
@@ -126,8 +141,8 @@ def tune(
     goes on. The requirements are then met as far as these data are sure.
 
     With `start` the search begins at that controller, run as it runs (prewarping, delay, hold, precision), and besides
-    at starts - 1 others: `starts=1` is a local improvement alone. A `start` that meets the requirements is never made
-    worse. Where the requirements cannot be met `explain` finds out what to relax, which takes longer than the tuning.
+    at `search.starts` - 1 others: one start is a local improvement alone. A `start` that meets the requirements is
+    never made worse. Where they cannot be met `explain` finds out what to relax, which takes longer than the tuning.
 
     `disturbances` tell what a limit of `error_rms` is about, at their operating points; one alone serves all. Shifted
     plants keep to it too.
@@ -135,8 +150,7 @@ def tune(
     A `detuning_percent` is met by tuning to each plant as it is and with its frequencies shifted both ways to that
     end, and where the check finds a worse shift between to that as well.
 
-    With `grow` up to so many blocks are added to the structure one after the other, each the one that pays most
-    (`loopshape.design.growth`), until one gains less than `least_gain` of the bandwidth; `growth` holds each step.
+    Blocks that are added come one after the other (`loopshape.design.growth`); `growth` holds each step.
     Up to three biquads at once are tried too, under a floor on |L| that reaches beyond its dips
     (`loopshape.design.growth`); what ends better is taken.
 
@@ -152,40 +166,42 @@ def tune(
     copies = copies_for(requirements, len(loops))
     p, check_of = task.problem(copies, requirements)
     verifier = check_of(requirements)
-    candidates, moved = _candidates(p, start, np.random.default_rng(seed), draws, starts)
-    run = tournament(p, candidates, seed, draws, starts)
+    candidates, moved = _candidates(p, start, search)
+    run = tournament(p, candidates, search.seed, search.draws, search.starts)
     best, steps = settled(run, verifier)
     why = None
-    if not best.verdict.passed and explain and not grow:
+    if not best.verdict.passed and explain and not search.grow:
         best, why = shortfall(p, best, run.ends, check_of)
     if start is not None:
         best = _no_worse(p, best, candidates[0].x, verifier)
     first = closed_in(task, Stage(copies, requirements, p, best, task.check(p, best), steps))
-    stages = _stages(task, first, grow, least_gain, seed, starts)
+    stages = _stages(task, first, search)
     last = stages[-1]
-    if grow and explain and not last.verdict.passed:
+    if search.grow and explain and not last.verdict.passed:
         p, check_of = task.problem(last.copies, last.asked)
         best, why = shortfall(p, last.best, [last.best.result], check_of)
         last = replace(last, best=best, verdict=task.check(p, best))
     steps = sum(stage.steps for stage in stages)
-    return _tuning(last, why, len(candidates), steps, moved, tuple(step_of(stage) for stage in stages) if grow else ())
+    growth = tuple(step_of(stage) for stage in stages) if search.grow else ()
+    return _tuning(last, why, len(candidates), steps, moved, growth)
 
 
-def _stages(task: Task, first: Stage, grow: int, least_gain: float, seed: int, starts: int) -> list[Stage]:
+def _stages(task: Task, first: Stage, search: Search) -> list[Stage]:
     """The first stage and what grows of it: block by block, or from several at once where that ends better."""
-    best = _one_by_one(task, [first], grow, least_gain, seed, starts)
-    at_once = blockwise_growth(task, first, grow, np.random.default_rng([seed, 3])) if grow > 1 else None
+    best, grow = _one_by_one(task, [first], search), search.grow
+    at_once = blockwise_growth(task, first, grow, np.random.default_rng([search.seed, 3])) if grow > 1 else None
     if at_once is None:
         return best
     left = grow - (len(at_once.asked.structure) - len(first.asked.structure))
-    other = _one_by_one(task, [first, at_once], left, least_gain, seed, starts)
-    return other if other[-1].rank < best[-1].rank and pays(other[-1], first, least_gain) else best
+    other = _one_by_one(task, [first, at_once], replace(search, grow=left))
+    return other if other[-1].rank < best[-1].rank and pays(other[-1], first, search.least_gain) else best
 
 
-def _one_by_one(task: Task, stages: list[Stage], grow: int, least_gain: float, seed: int, starts: int) -> list[Stage]:
+def _one_by_one(task: Task, stages: list[Stage], search: Search) -> list[Stage]:
     """Stages and those that grow of the last, a block each."""
-    for k in range(grow):
-        larger = grown(task, stages[-1], least_gain, np.random.default_rng([seed, 2, k]), starts)
+    for k in range(search.grow):
+        rng = np.random.default_rng([search.seed, 2, k])
+        larger = grown(task, stages[-1], search.least_gain, rng, search.starts)
         if larger is None:
             break
         stages = [*stages, larger]
@@ -203,14 +219,13 @@ def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | N
     return replace(start, loop=requirements.loop, blocks=one, precision="double")
 
 
-def _candidates(
-    p: Problem, start: Controller | None, rng: np.random.Generator, draws: int, starts: int
-) -> tuple[list[SearchResult], tuple[str, ...]]:
+def _candidates(p: Problem, start: Controller | None, search: Search) -> tuple[list[SearchResult], tuple[str, ...]]:
     """Where searches begin, the warm start first, and what it had to leave."""
+    rng, starts = np.random.default_rng(search.seed), search.starts
     if start is None:
-        return random_starts(p.coarse, rng, draws, starts), ()
+        return random_starts(p.coarse, rng, search.draws, starts), ()
     x, moved = warm_start(p, start)
-    others = random_starts(p.coarse, rng, draws, starts - 1) if starts > 1 else []
+    others = random_starts(p.coarse, rng, search.draws, starts - 1) if starts > 1 else []
     return [initial_point(p.coarse, x), *others], moved
 
 

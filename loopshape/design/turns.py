@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.design.growth import LEAST_GAIN
-from loopshape.design.tune import Tuning, tune
+from loopshape.design.tune import SEARCH, Search, Tuning, tune
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
 from loopshape.loop.loops import Closed, loops_of, matrix_loops
@@ -79,37 +78,38 @@ class TunedLoops(Plain):
         return {turn.loop: turn.tuning for turn in self.turns}
 
 
+class Known(NamedTuple):
+    """What is known of a plant besides its FRFs: fits, controllers that it was recorded under, what disturbs it."""
+
+    fits: Sequence[Fit] = ()
+    recorded_under: Sequence[Controller] = ()
+    disturbances: Sequence[Disturbance] = ()
+
+
 def tune_loops(
     frfs: Sequence[FRF],
     requirements: Sequence[Requirements],
     controllers: Sequence[Controller] = (),
     together: Requirements | None = None,
+    search: Search = SEARCH,
+    known: Known | None = None,
     *,
-    fits: Sequence[Fit] = (),
-    recorded_under: Sequence[Controller] = (),
-    grow: int = 0,
-    least_gain: float = LEAST_GAIN,
-    rounds: int = 10,
-    seed: int = 0,
-    starts: int = 16,
-    draws: int = 60,
     step: Callable[[str], None] = lambda word: None,
-    disturbances: Sequence[Disturbance] = (),
 ) -> TunedLoops:
-    """Tune the loops of a plant's matrices (one an operating point) in turn; same input and seed, same controllers.
+    """Tune the loops of a plant's matrices (one an operating point) in turn; same input and search, same controllers.
 
     Loops are tuned in the order of `requirements`, each to the plants that it meets while the others are closed with
     their latest controllers; loops that have none yet are open. `controllers` are where loops start, and those of loops
     without requirements stay as they are. From the second round on each search begins at the loop's own controller. A
-    round in which no controller moves by more than 0.3 % ends it. `together`, `fits` and `recorded_under` serve the
-    last check, as `check` has them. With `grow` each loop's structure grows in the first round, as in `tune`. `step`
-    is called with a word after each tuning. `disturbances`, of all loops at the same time, tell what `error_rms` is
-    about; the search then begins at `controllers` of all loops.
+    round in which no controller moves by more than 0.3 % ends it. `together` serves the last check, as `check` has it.
+    Each loop's structure grows in the first round, as in `tune`. `step` is called with a word after each tuning. With
+    disturbances `known`, of all loops at the same time, the search begins at `controllers` of all loops.
 
     With the others closed the plant of a loop may be unstable where they need it to be stable: the unstable poles of
     each such plant are counted from the matrix. What comes out is a point that no loop improves on alone, not the best
     for all; the order of the loops matters. Refuses what `tune` and `square_part` refuse.
     """
+    fits, recorded_under, disturbances = known or Known()
     given = {one.loop: one for one in controllers}
     wishes = {one.loop: one for one in requirements}
     names = (*wishes, *(name for name in given if name not in wishes))
@@ -120,28 +120,20 @@ def tune_loops(
             f"no start for {', '.join(missing)}", "give --start a file with all loops",
         )  # fmt: skip
     state = _State(squares, names, wishes, dict(given), disturbances)
-    growing = {"grow": grow, "least_gain": least_gain}
     turns: list[Turn] = []
-    for number in range(1, rounds + 1):
+    for number in range(1, search.rounds + 1):
         mine = []
         for loop in wishes:
-            search = {"seed": seed, "draws": draws, "starts": starts} | (growing if number == 1 else {})
-            mine.append(state.turn(number, loop, search))
+            mine.append(state.turn(number, loop, search if number == 1 else replace(search, grow=0)))
             step(f"round {number}: {loop} {mine[-1].tuning.bandwidth_hz:.3g} Hz")
         turns += mine
         if all(turn.moved < STILL for turn in mine):
             break
     found = tuple(state.controllers[name] for name in names)
     verdict = check(
-        frfs,
-        found,
-        requirements,
-        fits,
-        together=together,
-        closed=names,
-        recorded_under=recorded_under,
+        frfs, found, requirements, fits, together=together, closed=names, recorded_under=recorded_under,
         disturbances=disturbances,
-    )
+    )  # fmt: skip
     still = all(turn.moved < STILL for turn in turns[-len(wishes) :])
     return TunedLoops(found, tuple(turns), verdict, still, tuple(dict.fromkeys(state.notes)))
 
@@ -157,16 +149,17 @@ class _State:
     disturbances: Sequence[Disturbance] = ()
     notes: list[str] = field(default_factory=list)
 
-    def turn(self, number: int, loop: str, search: Mapping[str, Any]) -> Turn:
+    def turn(self, number: int, loop: str, search: Search) -> Turn:
         """Tune one loop with the others as they stand, and let its controller stand."""
         others = tuple(name for name in self.names if name in self.controllers and name != loop)
         plants = [self._equivalent(frf, loop, others, k) for frf, k in zip(self.frfs, count(1))]
         self.wishes[loop] = replace(self.wishes[loop], structure=bounded(self.wishes[loop].structure, plants))
         wish = self._wish(loop, others, plants)
-        before, search = self.controllers.get(loop), {**search, "disturbances": self._disturbed(loop)}
-        found = tune(plants, wish, start=before, explain=False, **{**search, **({} if number == 1 else {"starts": 1})})
+        before, known = self.controllers.get(loop), self._disturbed(loop)
+        first = search if number == 1 else replace(search, starts=1)
+        found = tune(plants, wish, search=first, start=before, explain=False, disturbances=known)
         if number > 1 and not found.feasible:
-            found = tune(plants, wish, start=before, explain=False, **search)
+            found = tune(plants, wish, search=search, start=before, explain=False, disturbances=known)
         self.controllers[loop] = found.controller
         self.wishes[loop] = replace(self.wishes[loop], structure=found.structure)
         return Turn(number, loop, others, found, _moved(before, found.controller, self.frfs[0].frequency_hz))

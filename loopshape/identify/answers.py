@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from loopshape.core.units import Array, ComplexArray
+from loopshape.identify.tolerances import TOL
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +67,6 @@ def blocks(lines: int) -> list[slice]:
     return [slice(low, min(low + BLOCK, lines)) for low in range(0, lines, BLOCK)]
 
 
-#: relative deviation of a plant input's answer from which on its quotient is not believed: its bias is the square
-DROWNED = 0.3
-
-
 @dataclass(frozen=True, eq=False)
 class PlantEstimate:
     """P (nf, ny, nu), covariance of its vec, noise's part of it or None, and where loop noise exceeds the excitation.
@@ -86,7 +83,7 @@ class PlantEstimate:
 
     def sound(self, rows: np.ndarray) -> np.ndarray:
         """Which of the excited lines `rows` the first order holds on, by the median of nine: one may be lucky."""
-        return np.asarray(median_filter(np.minimum(self.drowned[rows], 1e9), 9, mode="nearest") < DROWNED)
+        return np.asarray(median_filter(np.minimum(self.drowned[rows], 1e9), 9, mode="nearest") < TOL.drowned_std)
 
 
 def plant_of(parts: Sequence[Answers], outputs: int) -> PlantEstimate:

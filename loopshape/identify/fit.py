@@ -18,6 +18,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Estimate, Fit
 from loopshape.data.signal.channel import unit_of
 from loopshape.identify.structures import Integrator, Rational, Structure, ThirdOrder
+from loopshape.identify.tolerances import TOL
 
 STRUCTURES = ("third_order", "third_order_delay", "integrator", "integrator_delay", "rational", "auto")
 WEIGHTINGS = ("variance", "relative")
@@ -91,10 +92,6 @@ def fit(
     return _fit(structure, solution, lines, frf.digest)
 
 
-#: delays in s that a fit with a delay starts from
-DELAYS = (0.0, 0.01, 0.03, 0.1)
-
-
 def _starts(structure: Structure, f: Array, G: ComplexArray, weights: Sequence[Array]) -> list[Array]:
     """Starts of a fit, by each of `weights`, the fit's own first: rational ones also from smoothed lines, for their
     linear equations suffer from noise; with a delay, from data turned back by several delays, for the phase may wrap.
@@ -105,7 +102,8 @@ def _starts(structure: Structure, f: Array, G: ComplexArray, weights: Sequence[A
     if "delay_s" not in structure.names:
         return [structure.start(f, view, weight) for view, weight in views]
     starts = []
-    for (view, weight), delay in [(one, 0.0) for one in views] + [(one, d) for one in views[:1] for d in DELAYS[1:]]:
+    delays = (0.0, 0.01, 0.03, 0.1)  # delays in s that a fit with a delay starts from
+    for (view, weight), delay in [(one, 0.0) for one in views] + [(one, d) for one in views[:1] for d in delays[1:]]:
         start = structure.start(f, view * np.exp(1j * angular(f) * delay), weight)
         start[-1] = delay + 1e-4
         starts.append(start)
@@ -211,10 +209,6 @@ def _simplest(frf: FRF, made: Sequence[Fit]) -> Fit:
     return min(near, key=lambda found: (len(found.parameters), criterion(found)))
 
 
-#: a named structure that follows the lines this well, rms, is not exchanged for a rational one
-FOLLOWS_DB = 1.0
-
-
 def fit_automatically(
     frf: FRF,
     *,
@@ -226,7 +220,8 @@ def fit_automatically(
     named = _fitted(frf, [structure_by_name(name) for name in STRUCTURES[:4]], weighting=weighting, band_hz=band_hz)
     best = _simplest(frf, named)
     lines = (frf.between(*band_hz) if band_hz is not None else frf.valid_lines()).frequency_hz.size
-    if (best.converged and best.misfit_db < FOLLOWS_DB) or 2 * lines < 16:
+    follows_db = 1.0  # a named structure that follows the lines this well, rms, is not exchanged for a rational one
+    if (best.converged and best.misfit_db < follows_db) or 2 * lines < 16:
         return best
     orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]
     rational = [Rational(n, d, k, delay=True) for n, d, k in orders]
@@ -285,8 +280,6 @@ class TooFarError(Exception):
     """No start of a structure came near what another structure leaves."""
 
 
-#: chi²/dof below which what is left is no noise of the stated variance, but rounding: its signs tell nothing
-NO_NOISE = 1e-6
 #: a search ends where a step takes less than this share off the sum of squares: off chi^2 of 300 lines 3e-6, so that
 #: even a hundred more such steps would move no parameter by more than 0.03 of its standard deviation
 END = 1e-8
@@ -372,7 +365,7 @@ def solve(
     if not ends:
         raise TooFarError
     found = min(ends, key=lambda result: result.cost)
-    agreeing = sum(end.cost <= SAME * found.cost + data.response.size * NO_NOISE for end in ends)
+    agreeing = sum(end.cost <= SAME * found.cost + data.response.size * TOL.no_noise for end in ends)
     left = (model(found.x) - data.response) / np.sqrt(0.5 * data.variance)
     J, share = np.asarray(found.jac), np.tile(data.variance / weight_variance, 2)
     inverse = _inverse(J)
@@ -382,7 +375,7 @@ def solve(
     ended = Convergence.AT_BOUND if np.any(found.active_mask) else Convergence.CONVERGED
     outcome = Convergence.NOT_CONVERGED if found.status <= 0 else ended
     p_value, runs = residual_tests(left, freedom, data, stretch)
-    if chi2_per_dof < NO_NOISE:
+    if chi2_per_dof < TOL.no_noise:
         runs = 1.0
     return Solution(found.x, covariance, chi2_per_dof, p_value, runs, outcome, len(starts), agreeing)
 

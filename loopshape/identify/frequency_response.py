@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from loopshape.identify.settings import BY_INSTRUMENT, SPECTRAL, Settings
 from loopshape.identify.signals import LoopSignals, held_note, loop_signals, read_signals, wiring_notes
 from loopshape.identify.spectra.periods import by_periods
 from loopshape.identify.spectra.welch import by_welch
+from loopshape.identify.tolerances import TOL
 
 
 def excited_recordings(run: Run) -> list[Recording]:
@@ -205,13 +206,9 @@ def _valid(
     return valid, notes
 
 
-#: share of the frequencies from which on loop noise above the excitation is reported; fewer lie at its ends
-DROWNING = 0.1
-
-
 def drowned_note(frequency_hz: Array, sound: np.ndarray) -> tuple[str, ...]:
     """A warning where loop noise exceeds the excitation at the plant input."""
-    if np.mean(~sound) < DROWNING:
+    if np.mean(~sound) < TOL.drowned_share:
         return ()
     f = frequency_hz[~sound]
     return (
@@ -311,3 +308,37 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
             )
         ),
     )
+
+
+def alike(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Groups of periodic recordings that excite one loop, alike but for the draw of phases; others stand alone."""
+    return _grouped(recordings, lambda r: (*_conditions(r), r.info.excited, r.info.period_s or r.info.name))
+
+
+def matrices(recordings: Sequence[Recording]) -> list[list[Recording]]:
+    """Groups at one operating point that together excite two loops or more.
+
+    Where a point has recordings of several kinds, those that excite all loops at once are taken, else periodic ones,
+    else the rest.
+    """
+    found = []
+    for group in _grouped(recordings, _conditions):
+        together = [r for r in group if r.info.excites_also]
+        periodic = [r for r in group if r.info.period_s is not None and not r.info.excites_also]
+        other = [r for r in group if r.info.period_s is None and not r.info.excites_also]
+        spans = [g for g in (together, periodic, other) if len({n for r in g for n in r.info.excited}) > 1]
+        found += spans[:1]
+    return found
+
+
+def _conditions(r: Recording) -> tuple[Hashable, ...]:
+    """What recordings that are taken together must share."""
+    point, settings = sorted(r.info.operating_point.items()), sorted(r.info.parameters.items())
+    return (tuple(point), tuple(settings), r.info.injection, r.info.closed_loop)
+
+
+def _grouped(recordings: Sequence[Recording], key: Callable[[Recording], Hashable]) -> list[list[Recording]]:
+    groups: dict[Hashable, list[Recording]] = {}
+    for r in recordings:
+        groups.setdefault(key(r), []).append(r)
+    return list(groups.values())

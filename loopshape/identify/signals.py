@@ -13,10 +13,9 @@ from loopshape.core.units import Array, ComplexArray
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
+from loopshape.identify.tolerances import TOL
 
 S = TypeVar("S", bound=Signal)
-#: standard deviation over size up to which a control is known well enough to be compared with its controller's answer
-KNOWN_CONTROL = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,7 +206,7 @@ def wiring_notes(
     notes: tuple[str, ...] = ()
     below = frequency_hz < 0.45 * recording.rate_hz
     if z_std is not None:
-        below &= z_std < KNOWN_CONTROL * np.abs(z)
+        below &= z_std < TOL.known_control_std * np.abs(z)
     if controller is not None and below.any():
         error = -y[below] if injection == "plant_input" else 1.0 - y[below]
         apart = np.abs(z[below] - controller.response(frequency_hz[below]) * error) / np.abs(z[below])

@@ -9,13 +9,12 @@ from gzip import GzipFile
 from pathlib import Path
 from typing import IO
 
-_FREE = 256 * 1024 * 1024  # bytes that any file may grow to
-_TIMES = 64  # its own size; recordings that hold noise shrink to a tenth at the best
-
 
 def most_bytes(path: Path) -> int:
     """What a file may hold once it is unpacked."""
-    return max(_FREE, _TIMES * path.stat().st_size)
+    free = 256 * 1024 * 1024  # bytes that any file may grow to
+    times = 64  # its own size; recordings that hold noise shrink to a tenth at the best
+    return max(free, times * path.stat().st_size)
 
 
 def check_growth(path: Path, held_bytes: int) -> None:

@@ -12,8 +12,6 @@ from loopshape.core.units import Array
 
 #: of a sample: what stamps on a grid may be off it
 ON_GRID = 0.01
-#: of a sample: rms and largest deviation from the grid of all stamps up to which they jitter, and keep a rate
-JITTER, FARTHEST = 0.3, 1.0
 #: of a sample: a lasting shift of the stamps from which on samples are missing, seen over so many stamps
 SHIFT, SEEN_OVER = 0.5, 15
 #: relative error of a stated rate from which on the stamps are looked at with their own
@@ -43,7 +41,9 @@ class Stamps:
         """Whether samples at a constant rate explain the stamps."""
         slack = self.rounded_s * self.rate_hz
         scatter, far = self.jitter_s * self.rate_hz, self.farthest_s * self.rate_hz
-        return not self.gaps and scatter <= JITTER + slack and far <= FARTHEST + slack
+        # of a sample: rms and largest deviation from the grid of all stamps up to which they jitter, and keep a rate
+        jitter, farthest = 0.3, 1.0
+        return not self.gaps and scatter <= jitter + slack and far <= farthest + slack
 
     @property
     def rounding_alone(self) -> bool:

@@ -16,11 +16,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.result.baseline import Comparison, LineChange, MarginChange, StabilityChange
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
-
-#: changes without an error of their own count from here on: what four figures do not show is none
-TINY = 1e-4
-#: chance that any margin is called changed although none has
-FALSE_ALARM = 0.05
+from loopshape.loop.tolerances import TOL
 
 
 def data_mark(frf: FRF) -> str:
@@ -162,8 +158,8 @@ def _comparable(was: Margins, found: Margins) -> bool:
 def _compared(pairs: Sequence[_Pair]) -> list[MarginChange]:
     known = [pair for pair in pairs if pair.known]
     uncertain = sum(pair.below > 0.0 or pair.above > 0.0 for pair in known)
-    one = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM)
-    widen = NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARM / max(uncertain, 1)) / one
+    one = NormalDist().inv_cdf(1.0 - 0.5 * TOL.changed_by_chance)
+    widen = NormalDist().inv_cdf(1.0 - 0.5 * TOL.changed_by_chance / max(uncertain, 1)) / one
     return [_compare(pair, widen) for pair in known]
 
 
@@ -177,7 +173,8 @@ def _compare(pair: _Pair, widen: float) -> MarginChange:
     interval = (low, high) if low < high and isfinite(change) else None
     floor = 1.0 if limit.unit in ("dB", "deg") else 0.0
     finite = [abs(x) for x in (pair.before, pair.now) if isfinite(x)]
-    outcome = _outcome(low, high, TINY * max([*finite, floor]), limit.sign)
+    # changes without an error of their own count from here on: what four figures do not show is none
+    outcome = _outcome(low, high, 1e-4 * max([*finite, floor]), limit.sign)
     numbers = pair.before, pair.now, interval, pair.common
     return MarginChange(pair.loop, pair.recording, limit.name, limit.unit, *numbers, outcome)
 

@@ -31,7 +31,7 @@ from loopshape.identify.smooth.resonances import Resonance
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.margins import COLUMN_OF, Reader
 from loopshape.loop.shifted import Plant, ShiftedColumns, plant_of, read, scatter_of, seen_resonances
-from loopshape.loop.stability.obstacles import RADIUS_95
+from loopshape.loop.tolerances import TOL
 
 #: steps between shifts, in per cent: up to what is required, and farther out
 COARSE, FINE, FINEST = 0.5, 0.25, 0.05
@@ -41,10 +41,6 @@ FEWER = (3.5, 6.0, 10.0, SEARCHED_PERCENT)
 STEPS, FINEST_STEP = 6, 0.02
 #: what is missed by less is met
 ROUNDING = 1e-9
-#: a limit that is missed at a shift is asked closer by so many times the miss
-CLOSER = 1.5
-#: a miss is warned of from this on: dB or ln of a ratio as dB, and degrees
-SLIGHT_DB, SLIGHT_DEG = 0.5, 3.0
 #: a resonance belongs to what breaks at a frequency so near, relatively, or within so many half widths
 BESIDE, WIDTHS = 0.1, 3.0
 
@@ -100,7 +96,8 @@ def worst_shift(
     every = [way * x for x in shifts[shifts <= within].tolist() for way in (1.0, -1.0)]
     worst = min(every, key=lambda x: (whole.stable(x, -1.0), float(np.min(whole.slacks(x, -1.0), initial=np.inf))))
     slacks = whole.slacks(worst, -1.0)
-    closer = whole.required - whole.signs * CLOSER * np.minimum(slacks, 0.0)
+    # a limit that is missed at a shift is asked closer by so many times the miss
+    closer = whole.required - whole.signs * 1.5 * np.minimum(slacks, 0.0)
     missed = np.flatnonzero((slacks < 0.0) & np.isfinite(closer))
     return worst, {whole.limits[k].name: float(whole.limits[k].value(closer[k])) for k in missed}
 
@@ -203,7 +200,7 @@ class _Search:
     def stable(self, percent: float, end: float = 0.0) -> bool:
         """Whether the loop is stable at a shift: by the estimate, surely (-1), or perhaps (1)."""
         x = self.reading(percent)
-        balanced, sure = x.poles is not None and x.poles == self.poles, x.clear > RADIUS_95
+        balanced, sure = x.poles is not None and x.poles == self.poles, x.clear > TOL.radius_95
         return (balanced and sure) if end < 0.0 else (balanced or not sure) if end > 0.0 else balanced
 
     def holds(self, percent: float, end: float = 0.0) -> bool:
@@ -279,7 +276,8 @@ class _Search:
         unstable = [x for x in within if not self.stable(x)]
         if unstable:
             return self._unstable(min(unstable, key=abs))
-        slight = np.array([SLIGHT_DEG if x.unit == "deg" else x.of_db(SLIGHT_DB) for x in self.limits])
+        slight_db, slight_deg = 0.5, 3.0  # a miss is warned of from this on: dB or ln of a ratio as dB, and degrees
+        slight = np.array([slight_deg if x.unit == "deg" else x.of_db(slight_db) for x in self.limits])
         if not slight.size:
             return None
         misses = np.array([-self.slacks(x) / slight for x in within])

@@ -34,13 +34,12 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit, TransferFunction
 from loopshape.data.response.smoothed import Scatter
+from loopshape.loop.tolerances import TOL
 
 if TYPE_CHECKING:
     from loopshape.data.result.margins import Margins
     from loopshape.data.result.prediction import Step
 
-#: lines above the band known to this share of their size, at the end of their circle, tell what |L| is there
-KNOWN_ABOVE = 0.2
 #: the highest lines are those from this share of the last frequency on
 HIGHEST = 0.6
 Values = TypeVar("Values", bound=np.ndarray)
@@ -56,7 +55,7 @@ def known_above(beyond: FRF) -> np.ndarray:
 
     Not those of the valid band, which only requirements that narrow it leave out, and a note says so.
     """
-    known = np.sqrt(beyond.variance[:, 0, 0]) < KNOWN_ABOVE * np.abs(beyond.siso)
+    known = np.sqrt(beyond.variance[:, 0, 0]) < TOL.known_above_std * np.abs(beyond.siso)
     return np.asarray(known & ~beyond.valid)
 
 
@@ -268,7 +267,7 @@ class Loop:
 
     @cached_property
     def largest_above(self) -> float:
-        """How far towards -1 lines above those used may reach that are known to `KNOWN_ABOVE`; 0 where none does.
+        """How far towards -1 lines above those used may reach that are known well enough; 0 where none does.
 
         1 less the smallest distance of their 95 % circles to -1: where L passes the negative real axis there, its size.
         """

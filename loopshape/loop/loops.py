@@ -24,13 +24,10 @@ from loopshape.loop.loop import Loop
 from loopshape.loop.matrix import determinant
 from loopshape.loop.predict.step_response import models_within
 from loopshape.loop.stability.low_end import low_order
-from loopshape.loop.stability.obstacles import RADIUS_95, Undecided
+from loopshape.loop.stability.obstacles import Undecided
 from loopshape.loop.stability.stability import unstable_count
+from loopshape.loop.tolerances import TOL
 
-#: draws of a fit's parameters from which its deviation below the lowest line is taken
-DRAWN = 50
-#: lines above the band used are known where their relative deviation is below the first, noise alone above the second
-KNOWN_BEYOND, NOISE_ALONE = 0.3, 1.0
 #: why a fit is not used, most often
 MORE_THAN_NOISE = "leaves more than noise"
 
@@ -145,13 +142,13 @@ def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
     size = np.maximum(np.linalg.norm(frf.response, axis=(1, 2)), 1e-300)
     relative = np.sqrt(frf.variance.sum(axis=(1, 2))) / size
     above = frf.frequency_hz > lines.frequency_hz[-1]
-    known = np.flatnonzero(above & (relative < KNOWN_BEYOND))
-    rows = above & (relative <= NOISE_ALONE)
+    known = np.flatnonzero(above & (relative < TOL.known_beyond_std))
+    rows = above & (relative <= TOL.noise_alone_std)
     rows[: known[-1] + 1 if known.size else 0] |= above[: known[-1] + 1 if known.size else 0]
     if not rows.any():
         return None
     found = frf.select(rows)
-    return replace(found, response=found.response * (1.0 + RADIUS_95 * relative[rows])[:, None, None])
+    return replace(found, response=found.response * (1.0 + TOL.radius_95 * relative[rows])[:, None, None])
 
 
 def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirements) -> tuple[Fit | None, str]:
@@ -175,7 +172,7 @@ def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirem
         why = MORE_THAN_NOISE
     elif against is not None:
         why = f"has {against[2]} {against[0]}, and {against[1]} are declared"
-    elif _spread_below(fit, float(frf.frequency_hz[0])) > KNOWN_BEYOND:
+    elif _spread_below(fit, float(frf.frequency_hz[0])) > TOL.known_beyond_std:
         why = "is not known well enough to tell the plant below the lowest frequency"
     else:
         why = ""
@@ -185,7 +182,7 @@ def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirem
 def _spread_below(fit: Fit, first_hz: float) -> float:
     """Largest relative deviation of a fit's response below a frequency in Hz, by its parameters' covariance."""
     f = np.geomspace(1e-3 * first_hz, first_hz, 20)
-    drawn = np.array([model.response(f) for model in models_within(fit, DRAWN, 0)])
+    drawn = np.array([model.response(f) for model in models_within(fit, TOL.deviation_draws, 0)])
     return float(np.sqrt(np.mean(np.abs(drawn / fit.model.response(f) - 1.0) ** 2, axis=0)).max())
 
 

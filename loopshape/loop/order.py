@@ -16,25 +16,18 @@ from loopshape.data.result.verdict import Order, SettledBy, Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import path_of
 from loopshape.loop.points import point_outcome
-from loopshape.loop.stability.holes import POOR, median_of_five
+from loopshape.loop.stability.holes import median_of_five
 from loopshape.loop.stability.low_end import crossover_below, in_sight
 from loopshape.loop.stability.obstacles import Undecided
 from loopshape.loop.stability.stability import LOWER, Stability, closed_loop_stability, obstacles_of
+from loopshape.loop.tolerances import TOL
 
 #: lines that do not show what lies between them are asked for so many times closer, those of a limit so many
 FINER, FINER_LIMIT = 4.0, 2.0
 #: periods that a measurement has at least
 PERIODS = 4.0
-#: the order is for an error so small that -1 lies this many deviations off, if the estimate stays
-CLEAR = 4.0
-#: and for so many times the data that would decide a limit if the estimate stayed; never more than the second
-SPARE, MOST = 4.0, 400.0
-#: lines that are too uncertain are to be known to this
-KNOWN = 0.05
-#: more data do not help lines that are known so well
-ENOUGH = 1e-4
-#: errors so large beside an |L| that is not smaller than the second leave nothing to read
-DROWNED = 0.7, 0.1
+#: more data than so many times those at hand are not asked for
+MOST = 400.0
 #: a band goes on by this factor beside a frequency at which a limit is read, and by the second above the last line
 ABOUT, HIGHER = 2.0**0.5, 1.2
 #: highest frequency of an order, as a share of the rate
@@ -97,7 +90,7 @@ def _for_count(loop: Loop, stability: Stability) -> Iterator[_Wanted]:
         distance = float((np.abs(1.0 + path.L[here]) / path.std[here]).min(initial=np.inf))
         if low >= last * (1.0 - 1e-9):
             high *= HIGHER
-        yield _Wanted(low, high, _times(1.0, CLEAR / max(distance, 0.5)), FINER if one.finer else 1.0)
+        yield _Wanted(low, high, _times(1.0, TOL.ordered_clear_std / max(distance, 0.5)), FINER if one.finer else 1.0)
 
 
 def _times(least: float, std_over: float) -> float:
@@ -128,14 +121,14 @@ def _for_limit(loop: Loop, margins: Margins, limit: Limit, required: float) -> I
             yield _drowned(loop)
             return
         bad, good = read.ends[:: int(limit.sign)]
-        more = min(max(SPARE * longer(read.value, bad, good, required, limit.sign), 1.0), MOST)
+        more = min(max(TOL.ordered_data * longer(read.value, bad, good, required, limit.sign), 1.0), MOST)
         yield _Wanted(at_hz / ABOUT, min(at_hz * ABOUT, max(last, at_hz)), more, FINER_LIMIT)
 
 
 def _drowned(loop: Loop) -> _Wanted:
     """Where errors are as large as L itself, which is not small."""
     path = path_of(loop)
-    f, here = path.f, path.f[(np.abs(path.L) > DROWNED[1]) & (path.std > DROWNED[0] * np.abs(path.L))]
+    f, here = path.f, path.f[(np.abs(path.L) > TOL.drowned_gain) & (path.std > TOL.drowned_std * np.abs(path.L))]
     return (
         _Wanted(float(here[0]), float(here[-1]), MOST, FINER)
         if here.size
@@ -155,12 +148,12 @@ def _measured(name: str, frf: FRF, wanted: _Wanted) -> Order:
     middle = np.sqrt(wanted.low_hz * wanted.high_hz)
     relative = float(std[here].max()) if here.any() else float(np.interp(np.log(middle), np.log(f), std))
     averages = max(frf.averages / frf.line_overlap, 1.0) if np.isfinite(frf.averages) else 1.0
-    finer = wanted.finer if relative <= POOR and np.count_nonzero(here) > 2 else 1.0
+    finer = wanted.finer if relative <= TOL.poor_std and np.count_nonzero(here) > 2 else 1.0
     resolution = apart / finer
     seconds = max(
         PERIODS / resolution,
-        min(wanted.data, _times(1.0, relative / ENOUGH)) * averages / own,
-        _times(0.0, relative / KNOWN) * averages / resolution,
+        min(wanted.data, _times(1.0, relative / TOL.known_enough_std)) * averages / own,
+        _times(0.0, relative / TOL.ordered_std) * averages / resolution,
     )
     aside = own if finer > 1.0 else 0.0
     low, high = max(wanted.low_hz - aside, 0.5 * wanted.low_hz), wanted.high_hz + aside

@@ -21,9 +21,8 @@ from loopshape.loop.margin.between import interpolated
 from loopshape.loop.margin.margins import Reader
 from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, low_models, poles_at_0
 from loopshape.loop.stability.stability import count_unstable, swing_near
+from loopshape.loop.tolerances import TOL
 
-#: draws of the FRF's error that a reading's deviation is taken from, and half a 95 % interval in such deviations
-DRAWN, HALF_WIDTH_STD = 40, 2.02
 #: a resonance narrower than so many gaps between lines is followed between them, at these places in half widths
 NARROW, PLACES = 1.0, np.tan(np.linspace(-1.4, 1.4, 21))
 #: resonances whose peak of |L|, with the controller at the best of these shifts, stays below this matter to nobody
@@ -160,7 +159,7 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
         narrow = [x for x, k in zip(seen, after, strict=True) if abs(x.pole_hz.imag) < NARROW * (f[k] - f[k - 1])]
     else:
         dense, _ = interpolated(loop)
-        f, P, draws = dense.frequency_hz, dense.response, dense.deviations[:DRAWN]
+        f, P, draws = dense.frequency_hz, dense.response, dense.deviations[: TOL.shifted_draws]
         std = np.interp(f, loop.frequency_hz, std)
     for model in low_models(loop)[:1] if abs(loop.L[0]) < 1.0 and in_sight(loop) else ():
         below = float(f[0]) * BELOW_RATIOS[poles_at_0(loop) > 0 :]  # down to 0 Hz where L is finite there
@@ -185,9 +184,10 @@ def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
 
 def read(loop: Loop, plant: Plant, reader: Reader) -> ShiftedColumns:
     """What a loop's margins and count are with its plant as it stands moved."""
-    f, C, above, C_above, C_below = _responses(loop, plant)
+    lines, C_below = _lines(loop, plant)
+    f, C = lines.f, lines.C
     L = C * plant.P[: f.size]
-    found, at = reader.read(f, L[None], C, above, C_above, least=loop.largest_above)
+    found, at = reader.read(L[None], lines, least=loop.largest_above)
     with np.errstate(divide="ignore"):
         clear = float(np.min(np.abs(1.0 + L) / (np.abs(C) * plant.std[: f.size])))
     integrators = (loop.integrators or 0) + loop.controller.integrators()
@@ -201,17 +201,19 @@ def scatter_of(loop: Loop, plant: Plant, reader: Reader, reading: ShiftedColumns
     draws = plant.draws
     if draws is None:
         return np.zeros(kernel.COLUMNS), np.zeros(kernel.COLUMNS)
-    f, C, above, C_above, _ = _responses(loop, plant)
-    drawn, _ = reader.read(f, C * (plant.P[: f.size] + draws[:, : f.size]), C, above, C_above, least=loop.largest_above)
+    lines, _ = _lines(loop, plant)
+    n = lines.f.size
+    drawn, _ = reader.read(lines.C * (plant.P[:n] + draws[:, :n]), lines, least=loop.largest_above)
     known = np.isfinite(drawn).all(axis=0) & np.isfinite(reading.values)
     off = np.where(known, drawn, 0.0) - np.where(known, reading.values, 0.0)
-    return off.mean(axis=0), np.where(known, HALF_WIDTH_STD * off.std(axis=0), np.inf)
+    return off.mean(axis=0), np.where(known, TOL.half_width_shifted_std * off.std(axis=0), np.inf)
 
 
-def _responses(loop: Loop, plant: Plant) -> tuple[Array, ComplexArray, Array, ComplexArray, ComplexArray]:
-    """Lines below half the rate with C there, lines above them with C, and C below the first line."""
+def _lines(loop: Loop, plant: Plant) -> tuple[kernel.Lines, ComplexArray]:
+    """Lines below half the rate and above them with C there, and C below the first line."""
     rate_hz = loop.controller.rate_hz
     f = plant.f[plant.f < 0.499 * rate_hz]
     above = plant.above_hz[(plant.above_hz > f[-1]) & (plant.above_hz <= 0.45 * rate_hz)]
     C = loop.controller.response(np.concatenate([f, above, plant.below_hz]))
-    return f, C[: f.size], above, C[f.size : f.size + above.size], C[f.size + above.size :]
+    lines = kernel.Lines(f, C[: f.size], above, C[f.size : f.size + above.size])
+    return lines, C[f.size + above.size :]

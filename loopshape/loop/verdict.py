@@ -37,8 +37,6 @@ from loopshape.loop.order import decided_at_hz, longer, with_orders
 from loopshape.loop.points import point_outcome
 from loopshape.loop.stability.stability import LOWER
 
-#: a crossing is warned of where the error is reduced by less than this at so many lines and more up to a quarter of it
-LEAST_REDUCTION_DB, LEAST_LOW_LINES = 9.0, 2
 _P = ParamSpec("_P")
 #: what a check of a schedule does not show
 FROZEN = (
@@ -95,7 +93,6 @@ def check_loops(
     together: Requirements | None = None,
     closed: Sequence[str] | None = None,
     recorded_under: Sequence[Controller] = (),
-    detuned: bool = True,
     disturbances: Sequence[Disturbance] = (),
 ) -> LoopCheck:
     """Check controllers against the requirements of each loop and of all together, at every operating point measured.
@@ -109,9 +106,8 @@ def check_loops(
     well. The count of the loops under `recorded_under` tells the plant's unstable poles where nothing declares them.
 
     A limit of one loop that breaks where the plant's resonances move by up to 2 % is warned of, unless
-    `detuning_percent` is required; `detuned` false leaves the detuning margin out where it is not required.
-    `disturbances` tell what `error_rms` and the limits on the plant's input are about, at their operating points; one
-    alone serves all. Of several loops they are recordings of all loops at the same time.
+    `detuning_percent` is required. `disturbances` tell what `error_rms` and the limits on the plant's input are about,
+    at their operating points; one alone serves all. Of several loops they are recordings of all loops at the same time.
 
     Refuses loops without a controller or an output, requirements of loops that are not there, several rates, what
     disturbs some of several loops alone, limits on singular values where outputs have different units.
@@ -138,7 +134,7 @@ def check_loops(
         required = required if together is None else required.with_all(together.of_all())
         (own,), under = chosen.controllers, chosen.recorded_under
         plants = [x if x.recorded_under or not under else replace(x, recorded_under=under[0]) for x in chosen.frfs]
-        found, loops = _check_one(plants, own, required, fits, detuned=detuned, disturbances=disturbances)
+        found, loops = _check_one(plants, own, required, fits, disturbances=disturbances)
     kept = _kept(found, chosen)
     return LoopCheck(kept, loops, tuple(frfs), asked, tuple(fits), together, tuple(recorded_under), each)
 
@@ -164,21 +160,21 @@ def _check_one(
     requirements: Requirements,
     fits: Sequence[Fit],
     *,
-    detuned: bool,
-    counted: bool = True,
+    alone: bool = True,
     disturbances: Sequence[Disturbance] = (),
 ) -> tuple[Verdict, tuple[Loop, ...]]:
-    """The verdict on one loop; nothing is noted of open-loop poles unless `counted`: several are counted at once."""
+    """The verdict on one loop. Where it is not closed `alone` nothing is noted of open-loop poles and no detuning
+    margin is looked for: several loops are counted at once."""
     refuse_too_high(requirements, controller)
-    loops, notes = loops_of(frfs, controller, requirements, fits, counted=counted)
+    loops, notes = loops_of(frfs, controller, requirements, fits, counted=alone)
     named = dict(zip(points_of(frfs), loops, strict=True))
     disturbed = of_points(named, disturbances)
-    found, made = _verdict_on(named, requirements, detuned=detuned, disturbances=disturbed)
+    found, made = _verdict_on(named, requirements, detuned=alone, disturbances=disturbed)
     notes += disturbance_warnings(named, made, requirements)
     if isinstance(controller, GainScheduled):
         notes += (FROZEN,)
     found = with_warnings(found, loops, requirements, notes)
-    return (with_orders(found, loops, frfs, requirements) if counted else found), tuple(loops)
+    return (with_orders(found, loops, frfs, requirements) if alone else found), tuple(loops)
 
 
 def _verdict_on_all(
@@ -198,7 +194,7 @@ def _verdict_on_all(
         required = replace(asked.get(name, Requirements(name)), integrators=None, unstable_poles=None)
         plants = equivalent_plants(name, loops)
         known = disturbed.get(name, ())
-        alone, mine = _check_one(plants, own, required, fits, detuned=False, counted=False, disturbances=known)
+        alone, mine = _check_one(plants, own, required, fits, alone=False, disturbances=known)
         why = "by the count of all loops at once"
         counts = {k: replace(alone.margins[k], stable=m.stable, stability_reason=why) for k, m in found.items()}
         alone = replace(alone, margins={k: replace(m, stability_band_hz=None) for k, m in counts.items()})
@@ -250,13 +246,16 @@ def crossing_warnings(
     An integrator with its crossing at f reduces the error by 12.3 dB at f/4; less than 9 dB all the way up to there,
     at two lines and more, is a loop whose |L| stays near 1.
     """
+    # a crossing is warned of where the error is reduced by less than this at so many lines and more up to a quarter of
+    # it
+    least_reduction_db, least_low_lines = 9.0, 2
     reduced = {
         name: (-float(db(np.abs(loop.S[low])).min()), one.bandwidth_hz)
         for (name, one), loop in zip(found.items(), loops, strict=True)
         if np.isfinite(one.bandwidth_hz)
-        and np.count_nonzero(low := loop.frequency_hz <= 0.25 * one.bandwidth_hz) >= LEAST_LOW_LINES
+        and np.count_nonzero(low := loop.frequency_hz <= 0.25 * one.bandwidth_hz) >= least_low_lines
     }
-    flat = {name: pair for name, pair in reduced.items() if pair[0] < LEAST_REDUCTION_DB}
+    flat = {name: pair for name, pair in reduced.items() if pair[0] < least_reduction_db}
     if requirements.bandwidth_hz is None or not flat:
         return ()
     worst = min(flat, key=lambda name: flat[name][0])

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 
 from loopshape.core.errors import WrongUseError, refuse_unknown_keys
 from loopshape.data.control.block import BlockTemplate
@@ -141,12 +141,21 @@ def interaction(
     return interaction_of(P, loops, controllers, outputs=outputs, limit_db=limit_db, bands=bands)
 
 
+class TuneOptions(TypedDict, total=False):
+    """What disturbs one loop, how `tune` searches, and who is told."""
+
+    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None
+    seed: int
+    starts: int
+    grow: int
+    least_gain: float
+    watch: Watch | None
+
+
 @overload
 def tune(
     P: Plants, R: Requirements, structure: Sequence[BlockTemplate] | None = None, *, fits: Sequence[Fit] = (),
-    start: Controller | Tuning | Sequence[Controller | Tuning] | None = None, seed: int = 0, starts: int = 16,
-    grow: int = 0, least_gain: float = 0.01,
-    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
+    start: Controller | Tuning | Sequence[Controller | Tuning] | None = None, **options: Unpack[TuneOptions],
 ) -> Tuning: ...  # fmt: skip
 
 
@@ -154,9 +163,7 @@ def tune(
 def tune(
     P: Plants, R: Sequence[Requirements], structure: Sequence[BlockTemplate] | None = None, *,
     fits: Sequence[Fit] = (), start: Controller | Tuning | Sequence[Controller | Tuning] | None = None,
-    together: Requirements | None = None, recorded_under: Sequence[Controller] = (), seed: int = 0, starts: int = 16,
-    grow: int = 0, least_gain: float = 0.01,
-    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None, watch: Watch | None = None,
+    together: Requirements | None = None, recorded_under: Sequence[Controller] = (), **options: Unpack[TuneOptions],
 ) -> Tuning | TunedLoops: ...  # fmt: skip
 
 
@@ -204,8 +211,9 @@ def tune(
     >>> [step.order for step in C.growth]
     [1, 3]
     """
+    from loopshape.design.tune import Search
     from loopshape.design.tune import tune as tune_one
-    from loopshape.design.turns import tune_loops
+    from loopshape.design.turns import Known, tune_loops
 
     asked, together = required_of(R, together)
     asked = asked if structure is None else [replace(one, structure=tuple(structure)) for one in asked]
@@ -213,19 +221,16 @@ def tune(
     if len(initial) > len({one.loop for one in initial}):
         names = ", ".join(one.loop for one in initial)
         raise WrongUseError("a search begins at one controller a loop", names, "give each its own")
-    search: dict[str, Any] = {"seed": seed, "starts": starts, "grow": grow, "least_gain": least_gain}
+    search = Search(seed=seed, starts=starts, grow=grow, least_gain=least_gain)
     loops = [one.loop for one in asked] + [one.loop for one in initial if len(initial) > 1]
     if len(set(loops)) == 1:
         plants, one = equivalent_plants(P, asked[0] if together is None else asked[0].with_all(together))
         one = replace(one, structure=bounded(one.structure, plants))
-        known = point_disturbances(disturbance, plants[0].loop)
-        return tune_one(plants, one, tuple(fits), start=initial[0] if initial else None, disturbances=known, **search)
-    known = point_disturbances(disturbance, *dict.fromkeys(loops))
+        disturbed = point_disturbances(disturbance, plants[0].loop)
+        return tune_one(plants, one, tuple(fits), search, start=(*initial, None)[0], disturbances=disturbed)
+    known = Known(fits, recorded_under, point_disturbances(disturbance, *dict.fromkeys(loops)))
     with (watch or Unwatched()).progress("tune", 2 * len(asked)) as step:
-        return tune_loops(
-            plants_of(P), asked, initial, together, fits=fits, recorded_under=recorded_under, step=step,
-            disturbances=known, **search,
-        )  # fmt: skip
+        return tune_loops(plants_of(P), asked, initial, together, search, known, step=step)
 
 
 def check(

@@ -97,7 +97,7 @@ def frf_matrices(run: Run | str | Path, **settings: Any) -> tuple[FRF, ...]:
 
 def matrices_of(run: Run, recordings: Sequence[Recording], settings: Settings, watch: Watch) -> list[FRF]:
     """The plant's matrix from these recordings of a run, at each operating point."""
-    from loopshape.identify.groups import matrices
+    from loopshape.identify.frequency_response import matrices
     from loopshape.identify.matrix.matrix import estimate_matrix
 
     groups = matrices([r for r in recordings if r.info.ended_early is None])
@@ -119,10 +119,9 @@ def _single(
     run: Run, recordings: list[Recording], settings: Settings, realisations: bool, watch: Watch, warnings: list[str]
 ) -> list[FRF]:
     """FRFs of single loops; of a recording that ended early and gives none a sentence goes to `warnings`."""
-    from loopshape.identify import groups
-    from loopshape.identify.frequency_response import estimate_together
+    from loopshape.identify.frequency_response import alike, estimate_together
 
-    grouped = groups.realisations(recordings) if realisations else [[r] for r in recordings]
+    grouped = alike(recordings) if realisations else [[r] for r in recordings]
     made = []
     with watch.progress("estimate", len(grouped)) as step:
         for group in grouped:

@@ -103,13 +103,10 @@ def tune(
     profile: str | None = None,
     matrix: bool = False,
     diagram: Path | None = None,
-    disturbance: Path | None = None,
-    grow: int = 0,
-    watch: Watch | None = None,
     each: Callable[[Tuning], None] = lambda tuning: None,
     **search: Any,
 ) -> TunedRun:
-    """Tune the loops of a requirements file; `search` as in `ls.tune`.
+    """Tune the loops of a requirements file; `search`, with `disturbance` and `watch`, as in `ls.tune`.
 
     Each by itself, `each` called with it as soon as it is tuned, or with `matrix` in turn with the others closed; a
     profile then limits each with the others closed. Refuses a file to `start` from without any of these loops, and with
@@ -123,7 +120,7 @@ def tune(
     initial = _to_start(start, [one.loop for one in requirements])
     if not matrix:
         tunings = []
-        for tuning in _alone(run, requirements, initial, diagram, disturbance, watch, grow=grow, **search):
+        for tuning in _alone(run, requirements, initial, diagram, **search):
             tunings.append(tuning)
             each(tuning)
         return TunedRun(tuple(tunings), _missed(tunings), chosen)
@@ -134,7 +131,7 @@ def tune(
         )  # fmt: skip
     found = chain.tune(
         read_all_loops(run), requirements, start=[*initial.values()], together=together,
-        recorded_under=recorded_under(run), disturbance=disturbance, grow=grow, watch=watch, **search,
+        recorded_under=recorded_under(run), **search,
     )  # fmt: skip
     if not isinstance(found, TunedLoops):
         return TunedRun((found,), _missed([found]), chosen)
@@ -144,7 +141,7 @@ def tune(
 
 def _alone(
     run: Path, requirements: Sequence[Requirements], initial: Mapping[str, Controller], diagram: Path | None,
-    disturbance: Path | None, watch: Watch | None, **search: Any,
+    *, disturbance: Path | None = None, watch: Watch | None = None, **search: Any,
 ) -> Iterator[Tuning]:  # fmt: skip
     """Each loop by itself, or the tuned block of a diagram."""
     frfs, fits = read_frfs(run), fits_of(run)

@@ -31,8 +31,6 @@ from loopshape.view.page.payload import (
     requirements_from,
 )
 
-#: a request of the page is far smaller
-MOST_BYTES = 1_000_000
 #: connections at once; a further one takes the place of the one that has been sending its request for longest
 MOST_CONNECTIONS = 16
 #: within which a request has come whole, and each part of an answer is taken
@@ -114,12 +112,12 @@ class ShapeServer:
         return {"certificate": certificate_words(verdict), "words": repr(verdict)}
 
     def _tune(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
-        from loopshape.design.tune import tune
+        from loopshape.design.tune import Search, tune
 
         start = controller_from(asked["controller"])
         structure = tuple(_template(block, locked) for block, locked in zip(start.blocks, asked["locked"], strict=True))
         required = replace(one.of_plant(requirements_from(asked["requirements"])), structure=structure)
-        found = tune(one.frfs, required, one.fits, start=start, starts=1, disturbances=one.disturbances)
+        found = tune(one.frfs, required, one.fits, start=start, search=Search(starts=1), disturbances=one.disturbances)
         word = "meets all requirements" if found.feasible else f"does not meet all: {found.outcome}"
         return {"controller": controller_words(found.controller), "words": f"tuned from here; the best found {word}"}
 
@@ -256,7 +254,8 @@ def _handler(server: ShapeServer) -> type[BaseHTTPRequestHandler]:
 
         def _asked(self) -> Mapping[str, Any]:
             size = int(self.headers.get("Content-Length") or 0)
-            if not 0 < size <= MOST_BYTES or self.headers.get("Content-Type") != "application/json":
+            most_bytes = 1_000_000  # a request of the page is far smaller
+            if not 0 < size <= most_bytes or self.headers.get("Content-Type") != "application/json":
                 raise WrongUseError("a request of the page is JSON of up to 1 MB", f"{size} bytes")
             text = self.rfile.read(size)
             server.http.asked(self.connection)

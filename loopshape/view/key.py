@@ -165,9 +165,7 @@ def _handles(entries: Sequence[Entry]) -> tuple[list[Line2D], list[str]]:
     return [Line2D([], [], **(look or {"linestyle": "none"})) for _, look in entries], [text for text, _ in entries]
 
 
-_NOTE_SIZE = 7.0
 _EDGE_IN = (0.34, 0.1)  # half of a contour's words, which are not cut by the frame
-_SQUARE_IN, _STRIDE = 0.02, 100_000
 _LINE_IN, _LETTER_IN, _HANDLE_IN = 0.155, 0.058, 0.5
 _CORNERS = {"upper left": (0, 1), "upper right": (1, 1), "lower left": (0, 0), "lower right": (1, 0)}
 _BETWEEN = np.linspace(0.0, 1.0, 6)[:-1]
@@ -248,8 +246,9 @@ class LabelRoom:
         places = places[((places > -1.0) & (places < self._size + 1.0)).all(axis=1)]
         if not len(places):
             return np.full((1, 2), -9.0)
-        across, up = np.round((places + 1.0) / _SQUARE_IN).astype(int).T
-        _, first = np.unique(across * _STRIDE + up, return_index=True)
+        square_in, stride = 0.02, 100_000
+        across, up = np.round((places + 1.0) / square_in).astype(int).T
+        _, first = np.unique(across * stride + up, return_index=True)
         return np.asarray(places[first])
 
     def _scale(self, xy: Array) -> Array:
@@ -286,5 +285,5 @@ def place_entries(ax: Axes, entries: Sequence[Entry], loc: str) -> Legend | None
     """Small notes in a corner; None without entries."""
     legend = place_notes(ax, entries, loc)
     for text in legend.get_texts() if legend is not None else ():
-        text.set_fontsize(_NOTE_SIZE)
+        text.set_fontsize(7.0)
     return legend

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from loopshape.data.response.model import Estimate, Fit
 
 _GREEK = ("theta", "kappa", "zeta", "omega", "phi", "psi", "alpha", "beta", "gamma", "delta", "tau")
-#: phase in rad at the highest line that a delay must turn to be one
-NO_DELAY_RAD = 1e-6
 #: times the highest line from which on a real root is not told from one at infinity
 FAR = 10.0
 _USER_SUFFIXES = {"_deg": "deg", "_hz": "Hz", "_kg": "kg"}
@@ -181,7 +179,8 @@ def _phrase(name: str, values: Sequence[float]) -> str:
 
 def parameter_text(fit: Fit, p: Estimate) -> str:
     """A parameter with its 95 % interval; a delay that turns no line's phase is none."""
-    if p.name == "delay_s" and abs(p.value) * TWO_PI * fit.band_hz[1] < NO_DELAY_RAD:
+    no_delay_rad = 1e-6  # phase in rad at the highest line that a delay must turn to be one
+    if p.name == "delay_s" and abs(p.value) * TWO_PI * fit.band_hz[1] < no_delay_rad:
         return "none"
     return plus_minus(p.value, 1.96 * p.std)
 

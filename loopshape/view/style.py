@@ -22,9 +22,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*")
 LIMIT = "#B2182B"  # what must not be crossed
 QUIET = "#6E6E6E"  # what only helps to read
 FULL_WIDTH_IN = 7.0
-HEAD_IN = 1.0  # of a figure's height, which its own size allows for title and details
 MOST_DETAILS = 4  # lines under a title
-DPI = 150
 MARKS = re.compile(r"\\[a-z]{2}[a-z]+|[$_{}]")
 
 RC: dict[str, object] = {
@@ -108,7 +106,8 @@ def head(figure: Figure, title: str, *details: str) -> None:
     if len(lines) > MOST_DETAILS:
         lines = [*lines[: MOST_DETAILS - 1], f"{lines[MOST_DETAILS - 1]} ..."]
     room = 0.24 + 0.165 * len(lines)
-    height = figure.get_figheight() + max(0.0, room - HEAD_IN)
+    head_in = 1.0  # of a figure's height, which its own size allows for title and details
+    height = figure.get_figheight() + max(0.0, room - head_in)
     figure.set_figheight(height)
     figure.text(0.012, 1.0 - 0.06 / height, title, va="top", fontsize=10.0)
     for k, line in enumerate(lines):
@@ -135,7 +134,7 @@ def wrapped(text: str, width: int) -> list[str]:
 def png(figure: Figure) -> bytes:
     """The figure as PNG of 150 dpi; the same figure gives the same bytes. Files are the store's business."""
     buffer, own_dpi = BytesIO(), figure.dpi
-    figure.dpi = DPI
+    figure.dpi = 150
     FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # `savefig` draws twice
     figure.dpi = own_dpi
     return buffer.getvalue()

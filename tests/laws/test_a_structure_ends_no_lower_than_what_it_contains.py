@@ -6,7 +6,7 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, frf, problem_o
 
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.starts import embedded, neutral, substructures, without_one
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 
 LIMITS = {"sensitivity_peak_db": 6.0}
 LEAD_LAG = LEAD | {"f2_hz": {"min": 1.0, "max": 4000.0}}
@@ -18,7 +18,7 @@ PLANTS = {
 
 
 def found_by(plant: str, structure: tuple[dict, ...], seed: int):
-    return tune(PLANTS[plant], required(*structure, **LIMITS), seed=seed, starts=3, explain=False)
+    return tune(PLANTS[plant], required(*structure, **LIMITS), explain=False, search=Search(seed=seed, starts=3))
 
 
 @pytest.mark.long

@@ -78,9 +78,9 @@ def c_arm(folder: Path) -> Callable[[], object]:
 
 def our_arm(moves: dict[str, float] | None = None) -> Callable[[], object]:
     """Our kernel on the same workload, one call, no Python inside; with parameters moved."""
-    from loopshape.core.kernels.noise import start_state
     from loopshape.toolbox.arm.dynamics import closed_loop as kernel
     from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants, sensor_constants
+    from loopshape.toolbox.gap.noise import start_state
 
     vector = ARM1_PARAMETERS.vector({"range_low_bar": 0.0, "range_high_bar": 10.0} | (moves or {}))
     c, sensors = constants(vector), sensor_constants(vector)
@@ -128,10 +128,10 @@ def our_arm2() -> Callable[[], object]:
     """Our kernel of two joints on the same workload, one call, no Python inside."""
     import arm2_workload as work
 
-    from loopshape.core.kernels.noise import start_state
     from loopshape.toolbox.arm.dynamics import closed_loop2 as kernel
     from loopshape.toolbox.arm.dynamics.closed_loop import COMPLETE, CONTROLLER_INPUT, Inputs, Pwm, plain_controllers
     from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2, sensor_constants2
+    from loopshape.toolbox.gap.noise import start_state
 
     vector = ARM2_PARAMETERS.vector()
     c, sensors = constants2(vector), sensor_constants2(vector)
@@ -219,10 +219,10 @@ def tuning() -> None:
     from tune_peers import annealing, bare, evolution, lqg, rule_of_thumb
     from tune_workload import frfs, requirements
 
-    from loopshape.design.tune import tune
+    from loopshape.design.tune import Search, tune
 
     plants, required = frfs(500), requirements()
-    tune(plants[:2], required, starts=2, draws=4)  # compiles
+    tune(plants[:2], required, search=Search(starts=2, draws=4))  # compiles
     begun = time.process_time()
     found = tune(plants, required)
     taken, ours = time.process_time() - begun, found.bandwidth_hz

@@ -61,12 +61,6 @@ def channels(frf: FRF, outputs: Sequence[str] | None = None, inputs: Sequence[st
     return pick(frf, rows, columns)
 
 
-def negated(A: FRF) -> FRF:
-    """-A, with its error: the response of a loop whose measurement held the sign of its summing point."""
-    cross = None if A.cross_power is None else -A.cross_power
-    return replace(A, response=-A.response, cross_power=cross, notes=(*A.notes, "the sign was turned, as stated"))
-
-
 def series(A: Any, B: Any) -> FRF:
     """A B: one of them an FRF, the other an FRF, a controller as it runs, or a number; names of one channel may differ.
 
@@ -87,28 +81,6 @@ def series(A: Any, B: Any) -> FRF:
         return NotImplemented
     one = P.response.shape[1:] == other.response.shape[1:] == (1, 1)
     return product(*((P, other) if P is A else (other, P)), connect="order" if one else "names")
-
-
-def without_controller(L: FRF, controller: Controller) -> FRF:
-    """P = L/C of a loop L = C P that was measured whole under a known controller, with L's error over |C|.
-
-    L is 1 x 1. What the controller's response holds (delay, hold) is divided out with it. Refuses several channels,
-    frequencies from half the controller's rate on, and lines at which C is zero.
-    """
-    if L.response.shape[1:] != (1, 1):
-        raise WrongUseError("one controller is divided out of one loop", f"{L.response.shape[1:]} channels", "pick one")
-    C = controller.response(L.frequency_hz)[:, None, None]
-    if not np.all(np.abs(C) > 0.0):
-        bad = L.frequency_hz[np.abs(C[:, 0, 0]) == 0.0][0]
-        raise WrongUseError(
-            "where the controller is zero the loop tells nothing of the plant", f"at {bad:g} Hz", "leave it out"
-        )
-    noise = None if L.noise_covariance is None else L.noise_covariance / np.abs(C) ** 2
-    return replace(
-        L, response=L.response / C, covariance=L.covariance / np.abs(C) ** 2, noise_covariance=noise, input_power=None,
-        output_power=None, cross_power=None, rate_hz=L.rate_hz or controller.rate_hz, recorded_under=controller,
-        notes=(*L.notes, "measured as the complete loop: its controller was divided out"),
-    )  # fmt: skip
 
 
 #: what may stand where a controller is asked for: an FRF, or controllers, each on its own channel

@@ -25,8 +25,6 @@ from loopshape.data.control.block import BLOCK_KINDS, Block, Polynomial, Section
 
 _FIXED = re.compile(r"q([1-9][0-9]?)\.([1-9][0-9]?)")
 _MOST_BITS = 45  # signals then keep 16 bits beside a sign in products of 60
-_PRODUCT_BITS = 60  # five products of 60 bits add up within int64
-_SIGNAL_BITS = 31
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,8 @@ class Precision:
     @property
     def signal_limit(self) -> int:
         """Fixed point: largest magnitude of an integer signal for which no sum of products leaves int64."""
-        return int(min(2**_SIGNAL_BITS, 2 ** (_PRODUCT_BITS - self.bits + 1)) - 1)
+        product_bits = 60  # five products of 60 bits add up within int64
+        return int(min(2**31, 2 ** (product_bits - self.bits + 1)) - 1)
 
     def rounded(self, values: ArrayLike) -> Array:
         """The nearest values of the format, ties to even, in double (which holds them exactly); not clipped."""

@@ -14,8 +14,6 @@ from loopshape.data.control.block import BlockTemplate, Polynomial
 
 #: poles of continuous and of discrete systems this near to s = 0, relative to the largest, are integrators
 AT_ZERO, AT_ONE = 1e-12, 1e-9
-#: zeros of a state space this many times farther out than its poles are at infinity
-FINITE = 1e6
 
 
 def fixed(system: Any, *, rate_hz: float | None = None, prewarp_hz: float | None = None) -> tuple[BlockTemplate, ...]:
@@ -107,7 +105,8 @@ def _of_states(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike) -> tuple[
     with np.errstate(all="ignore"):
         found = np.asarray(linalg.eigvals(left, right), dtype=complex)
     largest = max(1.0, float(np.abs(poles).max(initial=0.0)))
-    zeros = found[np.isfinite(found) & (np.abs(found) < FINITE * largest)]
+    # zeros of a state space this many times farther out than its poles are at infinity
+    zeros = found[np.isfinite(found) & (np.abs(found) < 1e6 * largest)]
     s = 2.0 * max(largest, float(np.abs(zeros).max(initial=0.0)))
     value = (c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d)[0, 0]
     return zeros, poles, float(np.real(value * np.prod(s - poles) / np.prod(s - zeros)))

@@ -22,8 +22,6 @@ Parameter = float | tuple[float, float] | None
 DAMPINGS = {"damping": (0.2, 2.0), "damping1": (0.005, 1.0), "damping2": (0.1, 2.0)}
 #: bounds of a resonator's dampings and of a complex lead's, where none are given
 RESONATOR, COMPLEX = ((0.01, 2.0), (0.005, 1.0)), (0.1, 1.0)
-#: decades about 1/|P| in the valid band that an open gain may reach
-GAIN_DECADES = 3.0
 
 
 def _block(kind: str, tie: dict[str, str] | None = None, **parameters: Parameter) -> BlockTemplate:
@@ -220,7 +218,8 @@ def bounded(structure: Sequence[BlockTemplate], plants: Sequence[FRF]) -> tuple[
     bands = np.array([frf.valid_band_hz for frf in plants])
     low, high = float(np.nanmin(bands)), float(np.nanmax(bands))
     sizes = np.concatenate([np.abs(frf.siso[frf.valid]) for frf in plants])
-    usual, factor = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**GAIN_DECADES
+    gain_decades = 3.0  # decades about 1/|P| in the valid band that an open gain may reach
+    usual, factor = 1.0 / float(np.exp(np.mean(np.log(sizes)))), 10.0**gain_decades
 
     def closed(name: str, value: float | Free) -> float | Free:
         if value != OPEN:

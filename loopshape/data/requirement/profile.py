@@ -12,8 +12,6 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
 from loopshape.data.result.verdict import Verdict
 
-_WIDTH = 2.0 * 1.959963984540054  # of a 95 % interval, in standard deviations
-
 
 @dataclass(frozen=True)
 class Zone:
@@ -94,8 +92,9 @@ def zone_shares(verdict: Verdict, profile: Profile) -> dict[str, float]:
 
 def _all_below(verdict: Verdict, limit_db: float) -> float:
     share = 1.0
+    width = 2.0 * 1.959963984540054  # of a 95 % interval, in standard deviations
     for found in verdict.margins.values():
         read = found["sensitivity_peak_db"]
-        std, room = (read.ends[1] - read.ends[0]) / _WIDTH, limit_db - read.value
+        std, room = (read.ends[1] - read.ends[0]) / width, limit_db - read.value
         share *= 0.5 * (1.0 + erf(room / (std * sqrt(2.0)))) if std > 0.0 else float(room >= 0.0)
     return share

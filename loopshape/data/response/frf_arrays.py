@@ -15,10 +15,6 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
 from loopshape.data.arrays import complex_array, number, real_array, real_or_complex_array
 
-#: below it a variance would not be finite
-LEAST_COHERENCE = 1e-12
-
-
 NEEDED = ("frequency_hz", "response", "covariance", "valid")
 _COMPLEX = ("covariance", "cross_power", "noise_covariance")
 
@@ -48,7 +44,8 @@ def independent(variance: Array) -> ComplexArray:
 
 def variance_by_coherence(response: ComplexArray, coherence: Array, averages: float) -> Array:
     """Variance (nf, ny, nu) of a single input's response from its coherence and the number of averages."""
-    g2 = np.clip(coherence, LEAST_COHERENCE, 1.0)
+    least_coherence = 1e-12  # below it a variance would not be finite
+    g2 = np.clip(coherence, least_coherence, 1.0)
     return np.asarray(np.abs(response) ** 2 * (1.0 - g2) / (g2 * (averages - 1.0)))
 
 

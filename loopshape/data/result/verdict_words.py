@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from loopshape.data.result.margins import Margins, Reading
     from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 
-#: width of what is printed first
-COLUMNS = 80
-
 
 class Notation(NamedTuple):
     """How readings are written: numbers, nothing, what stands between two ends and before a limit or a bound, and units
@@ -255,7 +252,8 @@ def order_text(order: Order, run: str = "RUN") -> str:
 def folded(line: str) -> str:
     """A line folded at 80 columns; what follows its first row is indented."""
     rest = " " * (2 + len(line) - len(line.lstrip()))
-    rows = textwrap.wrap(line, COLUMNS, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False)
+    columns = 80  # width of what is printed first
+    rows = textwrap.wrap(line, columns, subsequent_indent=rest, break_long_words=False, break_on_hyphens=False)
     return "\n".join(rows)
 
 

@@ -17,8 +17,6 @@ MOST_SAMPLES = 50_000_000
 NEARBY, ANYWHERE = 0.1, 0.02
 #: zero crossings that a sweep has at least, and over how many of them, or more of thousands, its frequency is taken
 CROSSINGS, SPAN = 40, 8
-#: share of the variance of a sweep's ln f that a frequency which only rises, then only falls explains
-MONOTONE = 0.997
 #: spread of a sweep's ln f between its quartiles, absolute and over the whole range
 SPREAD = 0.1
 #: mean |x| squared over mean square, cycle by cycle: 8 / pi^2 of a sine, 1 of a square wave, 2 / pi of Gaussian noise
@@ -125,7 +123,9 @@ def is_sweep(x: Signal) -> bool:
     low, high = np.quantile(log_f, [0.25, 0.75])
     if high - low < max(SPREAD, SPREAD * float(np.ptp(log_f))):
         return False
-    if max(_monotone(log_f), _monotone(-log_f)) < MONOTONE:
+    # share of the variance of a sweep's ln f that a frequency which only rises, then only falls explains
+    monotone = 0.997
+    if max(_monotone(log_f), _monotone(-log_f)) < monotone:
         return False
     return bool(SINE[0] < _form(x, at) < SINE[1])
 

@@ -165,8 +165,6 @@ def low_weights(p: Problem) -> Array:
     return weights
 
 
-#: dips of |L| below the bandwidth are watched where |L| is below this
-_SHALLOW = 3.0
 #: margins in the order of the kernel's rows
 _MARGINS = ("phase_margin_deg", "delay_margin_s", "gain_margin_db", "gain_reduction_margin_db")
 
@@ -199,7 +197,8 @@ def _levels(p: Problem, tighten: Tighten) -> tuple[Array, Array, Array, Array, A
         scaled(x, required(p, x, tighten)) if x in p.limits else np.full(p.points, np.nan) for x in _MARGINS
     )
     dip = np.broadcast_to(np.asarray(tighten.get(DIP, 0.0), dtype=float), p.points).copy()
-    return phase, delay, gain, reduction, dip, float(np.log(_SHALLOW)) if p.requirements.objective.bandwidth else 0.0
+    shallow = 3.0  # dips of |L| below the bandwidth are watched where |L| is below this
+    return phase, delay, gain, reduction, dip, float(np.log(shallow)) if p.requirements.objective.bandwidth else 0.0
 
 
 def _at_least(rows: Rows, name: str, e: Evaluation, tighten: Tighten) -> Rows:

@@ -42,14 +42,10 @@ _ABOVE = {
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """What the kernel is told of a problem's limits on magnitudes."""
+    """What the kernel is told of a problem's limits on magnitudes, their levels left open."""
 
     names: tuple[str, ...]
-    kinds: np.ndarray
-    from_hz: Array
-    above: np.ndarray
-    masks: Array
-    masked: np.ndarray
+    limits: kernel.Magnitudes
 
 
 _ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
@@ -60,14 +56,15 @@ def _asked(p: Problem) -> _Asked:
     if p not in _ASKED:
         names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.radius.any()))
         masks = [x for x in names if x in p.masks]
-        _ASKED[p] = _Asked(
-            names=names,
+        limits = kernel.Magnitudes(
             kinds=np.array([_KINDS[x] for x in names], dtype=np.int64),
+            level=np.zeros((0, p.points)),
             from_hz=np.array([_from_hz(p, x) for x in names], dtype=float),
             above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
             masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
             masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
         )
+        _ASKED[p] = _Asked(names, limits)
     return _ASKED[p]
 
 
@@ -85,9 +82,7 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
     """
     p, asked = e.p, _asked(e.p)
     level = _levels(p, tighten)
-    made = kernel.magnitude_rows(
-        e.flat, asked.kinds, level, asked.from_hz, asked.above, asked.masks, asked.masked, _FAR, _FAR - _PLATEAU, _EVERY
-    )
+    made = kernel.magnitude_rows(e.flat, asked.limits._replace(level=level), _FAR, _FAR - _PLATEAU, _EVERY)
     yield from of_kernel(asked.names, *made)
     for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
         if name in _ABOVE:
@@ -170,10 +165,9 @@ def norm_rows(e: Evaluation) -> tuple[Rows, ...]:
     if not e.p.requirements.objective.weighted_norm:
         return ()
     level = np.full((1, e.p.points), max(float(e.ln_norm.max()), float(_above(e)[0].max(initial=-np.inf))))
-    kinds, from_hz, none = np.array([kernel.NORM]), np.zeros(1), np.zeros((0, e.p.f.size))
-    made = kernel.magnitude_rows(
-        e.flat, kinds, level, from_hz, np.array([kernel.NOT]), none, np.array([-1]), _FAR, _FAR - _PLATEAU, _EVERY
-    )
+    kinds, above, none = np.array([kernel.NORM]), np.array([kernel.NOT]), np.zeros((0, e.p.f.size))
+    limits = kernel.Magnitudes(kinds, level, np.zeros(1), above, none, np.array([-1]))
+    made = kernel.magnitude_rows(e.flat, limits, _FAR, _FAR - _PLATEAU, _EVERY)
     places, value, ab = made
     lines = of_kernel((NORM,), places, value - level[0, 0], ab)
     return (*lines, *_norm_above(e, np.zeros(e.p.points)))

@@ -16,8 +16,6 @@ from loopshape.loop.loop import Loop
 from loopshape.loop.shifted import stretched
 from loopshape.loop.verdict import verdict_on
 
-#: plants are shifted by so many times what is required, to leave the check's own reading of intervals some room
-ROOM = 1.03
 #: copies nearer to each other than this share of what is required are one
 BESIDE = 0.15
 #: an end that does not hold goes farther out first, up to so many times what is required
@@ -34,7 +32,9 @@ class Copy:
 
 def copies_for(requirements: Requirements, points: int) -> tuple[Copy, ...]:
     """Each operating point as it is, and where a detuning margin is required both ends of it."""
-    end = ROOM * (requirements.detuning_percent or 0.0)
+    # plants are shifted by so many times what is required, to leave the check's own reading of intervals some room
+    room = 1.03
+    end = room * (requirements.detuning_percent or 0.0)
     return tuple(Copy(k, x) for k in range(points) for x in ((0.0, -end, end) if end else (0.0,)))
 
 

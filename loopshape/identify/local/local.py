@@ -20,23 +20,14 @@ from loopshape.identify.local.local_fits import LocalFit, Window, fit_lines, pre
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.input_power import powered
 from loopshape.identify.spectra.transforms import fast_length
+from loopshape.identify.tolerances import TOL
 
 HALVES = (6, 8, 12, 16, 24, 32, 48, 64, 96, 128, 192, 256, 384)
 #: order of the polynomials and degree of the denominator
 SHAPES = ((0, 0), (2, 0), (4, 0), (2, 2))
-#: complex degrees of freedom that a window must leave to its noise
-LEAST_FREEDOM = 6
-#: the narrowest window counts that predicts worse than the best by no more than this (natural logarithm of power)
-AS_GOOD = 0.01
-#: a denominator is fitted to noisy data and bends towards it, which no variance shows: it must pay by this much
-POLES_PAY = 0.1
 GROUPS, TOGETHER = 40, 9
-#: lines of an estimate, and numbers in its covariance
-MOST_LINES, MOST_NUMBERS = 5000, 4_000_000
 #: outputs by which a window is chosen, where there are more
 TRIED = 4
-#: what is bent by less than this between two lines, relative to itself, counts as straight
-SEEN = 1e-3
 #: lines fitted at a time times their windows' lengths, which bounds memory
 CHUNK = 12_000
 
@@ -113,7 +104,7 @@ def _choose(recording: Recording, lines: Lines) -> Choice:
         Window(half, *shape)
         for shape in SHAPES
         for half in HALVES
-        if 2 * half + 1 >= Window(half, *shape).unknowns(lines.R.shape[0]) + LEAST_FREEDOM
+        if 2 * half + 1 >= Window(half, *shape).unknowns(lines.R.shape[0]) + TOL.local_freedom
         and 2 * half + 1 <= 0.5 * lines.count
     ]
     if not windows:
@@ -128,10 +119,10 @@ def _choose(recording: Recording, lines: Lines) -> Choice:
         alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == shape]
         if alike:
             errors[alike] = _prediction_errors(tried, groups, [windows[k] for k in alike])
-    score = errors.mean(axis=1) + POLES_PAY * np.array([w.poles > 0 for w in windows])
+    score = errors.mean(axis=1) + TOL.poles_pay_ln * np.array([w.poles > 0 for w in windows])
     best = int(score.argmin())
     alike = [k for k, w in enumerate(windows) if (w.order, w.poles) == (windows[best].order, windows[best].poles)]
-    chosen = min((k for k in alike if score[k] <= score[best] + AS_GOOD), key=lambda k: windows[k].half)
+    chosen = min((k for k in alike if score[k] <= score[best] + TOL.as_good_ln), key=lambda k: windows[k].half)
     return Choice(windows[chosen], errors[chosen], groups)
 
 
@@ -186,7 +177,8 @@ def _answers(recording: Recording, lines: Lines, choice: Choice, settings: Setti
 
     Answers to a closed loop's instrument are smooth where the plant resonates: what is sought is the plant.
     """
-    most = min(MOST_LINES, MOST_NUMBERS // (lines.X.shape[0] * lines.R.shape[0]) ** 2)
+    most_lines, most_numbers = 5000, 4_000_000  # lines of an estimate, and numbers in its covariance
+    most = min(most_lines, most_numbers // (lines.X.shape[0] * lines.R.shape[0]) ** 2)
     window, least = choice.window, max(1, -(-lines.count // most))
     if settings.resolution_hz is not None:
         return _at_every(recording, lines, window, max(1, round(settings.resolution_hz / lines.frequency_hz[1])))
@@ -203,7 +195,8 @@ def _fine_enough(answers: Answers, outputs: int, step: int) -> int:
     """The step with which straight lines between the lines miss what is sought by less than its standard deviation."""
     sought, std = _sought(answers, outputs)
     bend = np.abs(np.diff(sought, 2, axis=0)) / 8.0
-    worst = float(np.max(bend / np.maximum(std, SEEN * np.abs(sought))[1:-1], initial=0.0))
+    seen = 1e-3  # what is bent by less than this between two lines, relative to itself, counts as straight
+    worst = float(np.max(bend / np.maximum(std, seen * np.abs(sought))[1:-1], initial=0.0))
     return max(1, int(step / np.sqrt(worst))) if worst > 1.0 else step
 
 
@@ -283,17 +276,14 @@ def _apart(wide: LocalFit, narrow: LocalFit) -> ComplexArray:
     return np.einsum("na,nb->nab", d, d.conj()) - wide.spread_of(weights, narrow.scatter)
 
 
-#: from this size on only variances are kept of what is rounded off
-LARGE = 24
-
-
 def _rounded_off(apart: ComplexArray, half: int) -> ComplexArray:
     """Mean of `apart` over neighbouring lines, without what is negative: what the window rounds off, squared."""
     half = min(half, apart.shape[0] - 1)
     padded = np.pad(apart, ((half, half), (0, 0), (0, 0)), mode="reflect")
     total = np.cumsum(np.concatenate([np.zeros_like(padded[:1]), padded]), axis=0)
     mean = (total[2 * half + 1 :] - total[: -(2 * half + 1)]) / (2 * half + 1)
-    if apart.shape[1] > LARGE:
+    large = 24  # from this size on only variances are kept of what is rounded off
+    if apart.shape[1] > large:
         diagonal = np.maximum(np.einsum("nii->ni", mean).real, 0.0)
         return np.asarray(diagonal[:, :, None] * np.eye(apart.shape[1]), dtype=complex)
     values, vectors = np.linalg.eigh(0.5 * (mean + mean.conj().transpose(0, 2, 1)))

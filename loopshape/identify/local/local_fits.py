@@ -188,10 +188,6 @@ def _solve(
     return inverse[:, tops] @ adjoint, residual, np.minimum(leverage, 1.0 - 1e-9)
 
 
-#: a column of which this share or less is its own makes normal equations lose half their digits
-OWN = 1e-2
-
-
 def _inverse(A: ComplexArray) -> ComplexArray | None:
     """Inverses (n, p, p) of A^H A for A (n, w, p), None where a column of one of them is nearly the others' sum."""
     G = A.conj().transpose(0, 2, 1) @ A
@@ -200,7 +196,8 @@ def _inverse(A: ComplexArray) -> ComplexArray | None:
         root = np.linalg.cholesky(G / (size[:, :, None] * size[:, None, :]))
     except np.linalg.LinAlgError:
         return None
-    if np.einsum("npp->np", root).real.min() < OWN:
+    # a column of which this share or less is its own makes normal equations lose half their digits
+    if np.einsum("npp->np", root).real.min() < 1e-2:
         return None
     inverse = np.linalg.inv(root) / size[:, None, :]
     return np.asarray(inverse.conj().transpose(0, 2, 1) @ inverse)

@@ -17,8 +17,6 @@ from loopshape.core.units import Array, ComplexArray
 #: what keeps equations regular that say the same twice, relative to their own size
 REGULAR = 1e-12
 TINY = 1e-60
-#: an answer's noise is taken to be this share of its energy at least, where answers are weighed against each other
-LEAST = 1e-9
 
 
 @dataclass(frozen=True)
@@ -140,7 +138,8 @@ def _with_poles(inverse: ComplexArray, theta: ComplexArray, left: ComplexArray, 
     """The denominator that leaves least over all answers, each in units of what a denominator of its own leaves."""
     own = np.einsum("...axbx->...xab", left)
     least = np.einsum("...a,...a->...", own[..., 0, :], _denominator(own)).real
-    weight = 1.0 / np.maximum(least, LEAST * energy + TINY)
+    # an answer's noise is taken to be this share of its energy at least, where answers are weighed against each other
+    weight = 1.0 / np.maximum(least, 1e-9 * energy + TINY)
     W = np.einsum("...x,...xab->...ab", weight, own)
     V, D = _inverse(W[..., 1:, 1:]), _denominator(W)
     scatter = np.einsum("...a,...axby,...b->...xy", D, left.conj(), D.conj()) / freedom[..., None, None]

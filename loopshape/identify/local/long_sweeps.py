@@ -25,15 +25,8 @@ from loopshape.identify.spectra.transforms import FLOOR
 PART, BESIDE = 1 << 21, 0.125
 #: so far in frequency, as a factor, windows reach beyond their lines
 WINDOW_FACTOR = 1.25
-#: cycles of its lowest frequency that a part takes at least, where the record has them before the sweep is this
-#: factor above the part's highest frequency: else its lines would be far apart
-CYCLES, PASSED = 100.0, 3.0
-#: rate of a part over the highest frequency that it passes, at least
-ABOVE = 8.0
 #: taps of the filter before thinning out, over its factor: flat to 1.3 times that frequency, 80 dB where images lie
 TAPS, CORNER, BETA = 12, 0.45, 8.0
-#: the frequency of a sweep one way never falls this share below what it was
-STEADY = 0.05
 #: times at which the frequency is read, and samples to which parts are rounded, so that alike sweeps have alike parts
 READ, STEP = 4000, 1 << 10
 
@@ -106,7 +99,8 @@ def _one_way(at: Array, f: Array) -> tuple[Array, Array] | None:
         return None
     order = slice(None, None, -1 if f[-1] < f[0] else 1)
     most = np.maximum.accumulate(f[order])
-    if np.any(f[order] < (1.0 - STEADY) * most) or most[-1] < 1.5 * most[0]:
+    steady = 0.05  # the frequency of a sweep one way never falls this share below what it was
+    if np.any(f[order] < (1.0 - steady) * most) or most[-1] < 1.5 * most[0]:
         return None
     return most, at[order]
 
@@ -131,8 +125,9 @@ def _next(low_hz: float, hz: Array, when: Array, n: int, rate_hz: float) -> Part
 
     first = max(low_hz, hz[0])
     high = min(2.0 * first, hz[-1])
+    above = 8.0  # rate of a part over the highest frequency that it passes, at least
     while True:
-        factor = max(1, int(rate_hz / (ABOVE * WINDOW_FACTOR * high)))
+        factor = max(1, int(rate_hz / (above * WINDOW_FACTOR * high)))
         beside = BESIDE * PART * factor
         inner = sorted((time(first), time(high)))
         outer = sorted((time(first / WINDOW_FACTOR), time(high * WINDOW_FACTOR)))
@@ -141,8 +136,11 @@ def _next(low_hz: float, hz: Array, when: Array, n: int, rate_hz: float) -> Part
             break
         high = first * (high / first) ** 0.8
     start, stop = max(outer[0], inner[0] - beside), min(outer[1], inner[1] + beside)
-    more = 0.5 * max(0.0, CYCLES * rate_hz / first - (stop - start))
-    farthest = time(PASSED * high)
+    # cycles of its lowest frequency that a part takes at least, where the record has them before the sweep is this
+    # factor above the part's highest frequency: else its lines would be far apart
+    cycles, passed = 100.0, 3.0
+    more = 0.5 * max(0.0, cycles * rate_hz / first - (stop - start))
+    farthest = time(passed * high)
     last = high * WINDOW_FACTOR**0.2 >= hz[-1]
     high = np.inf if last else high
     before, after = (0.0, float(n)) if last else (0.0, farthest) if when[-1] > when[0] else (farthest, float(n))

@@ -15,28 +15,15 @@ from scipy.ndimage import median_filter, uniform_filter1d
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.identify.local.local_models import TINY, Fits, Shape, at_gates, solve, window_moments
+from loopshape.identify.tolerances import TOL
 
 #: half widths tried, in lines, each square larger than the last by two
 HALVES = np.array([5, 6, 8, 11, 16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512, 724, 1024, 1448, 2048, 2896, 4096])
 #: half a window is this share of its frequency at most, but for the narrowest
 WIDEST = 0.2
-#: windows this narrow hold too few lines for a denominator: steps of `HALVES` left out
-TOO_FEW = 3
-#: squared distance from a narrower window's answer, over what noise gives, from which on a window is too wide
-LIMIT = 1.5
-#: by so many steps a window is narrower than the widest that agrees
-BACK = 4
-#: the narrowest step of `HALVES` that is taken: narrower windows serve to compare, too few residuals tell their noise
-SOUND = 2
-#: lines at which windows are chosen are every third; on each side so many are pooled
-EVERY, POOL = 3, 3
+#: lines at which windows are chosen are every third
+EVERY = 3
 POLYNOMIAL, RATIONAL, RESTING = Shape(2, 0), Shape(2, 2), Shape(2, 0, transient=False)
-#: share of the polynomial's variance below which a rational is taken: it bends to noise, which no variance shows
-PAYS = 0.5
-#: variance that a transient may add before its lines count as inseparable from it
-SEPARATE = 2.0
-#: and up to which a denominator is fitted beside it
-SEPARATE_RATIO = 1.02
 #: from how much power just before the sweep passes, over the record's, noise is clearly louder there
 LOUD = 2.0
 #: times at which noise is heard, in cycles over the window from when the sweep passes
@@ -90,8 +77,8 @@ def choose(z: ComplexArray, lines: np.ndarray, low: int, high: int, outputs: int
         *(_best(solve(M, count, shape, ridge), outputs, shape, loud, widest) for shape in (POLYNOMIAL, RATIONAL)),
         strict=True,
     )
-    rational = (variance[1] < variance[0] + np.log(PAYS)) & (loud == 0.0).all(axis=1) & separate
-    taken = np.minimum(np.maximum(np.where(rational, place[1], place[0]), SOUND), left.shape[1] - 1)
+    rational = (variance[1] < variance[0] + np.log(TOL.rational_pays)) & (loud == 0.0).all(axis=1) & separate
+    taken = np.minimum(np.maximum(np.where(rational, place[1], place[0]), TOL.sweep_narrowest), left.shape[1] - 1)
     rows = np.arange(few.size)
     nearest = np.minimum(np.searchsorted(0.5 * (few[1:] + few[:-1]), lines), few.size - 1)
     half = (0.5 * (right - left)[rows, taken]).astype(int)[nearest]
@@ -111,11 +98,12 @@ def _best(fits: Fits, outputs: int, shape: Shape, loud: Array, widest: np.ndarra
     """Window (n,) that one shape takes at each line, and the logarithm of its relative variance, smoothed."""
     value, noise = _sought(fits.response, fits.scatter, outputs)
     noise = np.maximum(_pooled(noise), loud[:, None])
-    first = min(TOO_FEW if shape.poles else 0, value.shape[1] - 1)
+    too_few = 3  # windows this narrow hold too few lines for a denominator: steps of `HALVES` left out
+    first = min(too_few if shape.poles else 0, value.shape[1] - 1)
     gain = fits.gain[..., : value.shape[-1]]
     grown = first + _grown(value[:, first:], noise[:, first:], gain[:, first:])
     grown = np.minimum(grown, widest)  # windows beyond are the same
-    best = np.maximum(median_filter(grown, 5, mode="nearest") - BACK, first)
+    best = np.maximum(median_filter(grown, 5, mode="nearest") - TOL.sweep_narrower, first)
     rows = np.arange(best.size)
     size = np.maximum(np.abs(value[rows, best]) ** 2, 1e-60)
     return best, _pooled(np.log((noise * gain)[rows, best] / size).mean(axis=-1))
@@ -143,12 +131,12 @@ def _grown(value: ComplexArray, noise: Array, gain: Array) -> np.ndarray:
         for b in range(c):
             apart = np.abs(value[:, c] - value[:, b]) ** 2
             expected = noise[:, b] * np.maximum(gain[:, b] - gain[:, c], 0.05 * gain[:, b])
-            agrees[:, c] &= _pooled((apart / expected).mean(axis=-1)) < LIMIT
+            agrees[:, c] &= _pooled((apart / expected).mean(axis=-1)) < TOL.sweep_misfit
     return np.asarray(np.logical_and.accumulate(agrees, axis=1).sum(axis=1) - 1)
 
 
 def _pooled(x: Array) -> Array:
-    return np.asarray(uniform_filter1d(x, 2 * POOL + 1, axis=0, mode="nearest"))
+    return np.asarray(uniform_filter1d(x, 2 * TOL.choice_pooled + 1, axis=0, mode="nearest"))
 
 
 def _pooled_powers(x: ComplexArray) -> ComplexArray:
@@ -168,14 +156,14 @@ def _reference(
     count = right - left + 1.0
     fits, without, sharp = (solve(M, count, shape) for shape in (POLYNOMIAL, RESTING, RATIONAL))
     separate = fits.gain[:, 0] / without.gain[:, 0]
-    better = np.all(sharp.power < PAYS * fits.power, axis=1)[:, None, None]
+    better = np.all(sharp.power < TOL.rational_pays * fits.power, axis=1)[:, None, None]
     heard, sharply = (_heard(z, lines, left, right, *x) for x in ((fits, POLYNOMIAL), (sharp, RATIONAL)))
     heard, record = np.where(better[:, None], sharply, heard), np.where(better, sharp.scatter, fits.scatter)
     passing = _passing(_pooled_powers(heard), _pooled_powers(record))
-    clear = (_trace(passing) > 0.0) & (separate < SEPARATE)
+    clear = (_trace(passing) > 0.0) & (separate < TOL.transient_variance)
     passing[~clear] = 0.0
     loud = np.where(clear[:, None], _sought(fits.response, passing, outputs)[1], 0.0)
-    return _expected(fits, lines, half, separate), passing, loud, separate < SEPARATE_RATIO
+    return _expected(fits, lines, half, separate), passing, loud, separate < TOL.transient_beside
 
 
 def _heard(
@@ -226,7 +214,7 @@ def _expected(fits: Fits, lines: np.ndarray, half: np.ndarray, separate: Array) 
 
     Towards low frequency it is taken to grow as drift does, with 1/f.
     """
-    own = np.flatnonzero(separate < SEPARATE)
+    own = np.flatnonzero(separate < TOL.transient_variance)
     own = own if own.size else np.array([int(np.argmin(separate))])
     per_line = 1.0 / half[own, None] ** (2.0 * np.arange(POLYNOMIAL.order + 1))
     T = fits.theta[own, POLYNOMIAL.order + 1 :]

@@ -29,13 +29,10 @@ from loopshape.identify.local.sweep_windows import HALVES, HEARD, POLYNOMIAL, RA
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.averages import smoothed
 from loopshape.identify.spectra.transforms import FLOOR, fast_length, low_lines, quadrature
+from loopshape.identify.tolerances import TOL
 
 #: lines lie this share of their frequency apart, or are the record's own
 DENSE = 150
-#: lines on each side over which a line's noise is pooled
-POOL = 5
-#: lines of one line's worth of independent error: of a quadratic's kernel, the integral of its squared correlation
-OVERLAP = 0.7
 
 
 def by_sweep(
@@ -83,9 +80,9 @@ def fitted(
         excited=fed > FLOOR * fed.max(),
         averages=float(np.median(width)),
         power_per="Hz",
-        line_overlap=max(1.0, float(np.median(0.5 * OVERLAP * width / np.gradient(lines.astype(float))))),
+        line_overlap=max(1.0, float(np.median(0.5 * TOL.sweep_overlap * width / np.gradient(lines.astype(float))))),
         freedom=freedom,
-        pooled=2 * POOL + 1,
+        pooled=2 * TOL.noise_pooled + 1,
         method=f"local fits of a sweep of {1.0 / unit:.4g} s, windows of {width.min() * unit:.3g} to"
         f" {width.max() * unit:.3g} Hz, {100.0 * share:.0f} % of lines by rationals"
         f"{nonlinear}",
@@ -197,12 +194,12 @@ def _estimated(
         power[rows] = M[:, 0].conj() / count[:, None, None]
         held[rows] = _held(fits, ridge, expected, 0.5 * (right - left))
         total[rows], effective[rows] = influences(z, lines[rows], left, right, shape.order, fits)
-    noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), POOL)
+    noise = smoothed(np.asarray(total / gain[:, None, None], dtype=complex), TOL.noise_pooled)
     passing = np.einsum("nxx->n", chosen.passing).real > 0.0
     noise[passing] = chosen.passing[passing]
     gain = gain / left_of_noise
     width = chosen.right - chosen.left + 1.0
-    freedom = 2.0 * effective * (1.0 + 2 * POOL * np.gradient(lines.astype(float)) / width)
+    freedom = 2.0 * effective * (1.0 + 2 * TOL.noise_pooled * np.gradient(lines.astype(float)) / width)
     freedom = np.where(passing, np.minimum(freedom, HEARD), freedom)
     return response, np.asarray(noise * gain[:, None, None] + held), power, float(np.median(freedom))
 
@@ -220,12 +217,6 @@ _HIGHEST = 12
 _WIDTH, _ENOUGH, _WIDEST, _LEAST = 0.1, 40, 0.4, 20
 #: what is tried for the sweep's own answer over a window, none, one or two resonances, and the order of a harmonic's
 _SHAPES, _ORDER = (Shape(2, 0), Shape(2, 2), Shape(4, 4)), 2
-#: a harmonic is taken that explains so many times what noise would, if all those taken leave this share at most
-_CLEAR, _LEAVES = 5.0, 0.67
-#: one that the sweep times a polynomial of this order explains beyond this share passes with the sweep, not apart
-_SMOOTH, _APART = 8, 0.5
-#: a machine has a harmonic in this share at least of the windows in which it passes apart; a resonance looks so in one
-_OFTEN = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,7 +258,7 @@ def _harmonics(z: ComplexArray, instrument: Array, low: int, high: int, lowest: 
         windows.append(_Window(k, t, z[here, 0], residuals, beyond))
     apart = [window.apart() for window in windows]
     taken = [window.explained(those)[1] for window, those in zip(windows, apart, strict=True)]
-    often = {j for those in taken for j in those if _times(j, taken) >= max(2.0, _OFTEN * _times(j, apart))}
+    often = {j for those in taken for j in those if _times(j, taken) >= max(2.0, TOL.harmonic_often * _times(j, apart))}
     for i, (window, those) in enumerate(zip(windows, apart, strict=True)):
         part, chosen = window.explained([j for j in those if j in often])
         k, weight = window.lines, np.interp(window.lines, middle, np.eye(middle.size)[i])
@@ -347,8 +338,9 @@ class _Window:
 
     def apart(self) -> list[int]:
         """Which harmonics pass at another time than the sweep."""
-        smooth = np.linalg.qr(self.sweep[:, None] * np.polynomial.chebyshev.chebvander(self.t, _SMOOTH))[0]
-        return [j for j, x in enumerate(self.inputs) if _energy(smooth.conj().T @ x) < _APART * _energy(x)]
+        # a harmonic passes with the sweep, not apart, that the sweep times a polynomial of this order explains
+        smooth = np.linalg.qr(self.sweep[:, None] * np.polynomial.chebyshev.chebvander(self.t, 8))[0]
+        return [j for j, x in enumerate(self.inputs) if _energy(smooth.conj().T @ x) < TOL.harmonic_apart * _energy(x)]
 
     def explained(self, among: list[int]) -> tuple[ComplexArray, list[int]]:
         """What harmonics explain of the residuals, and which of those named these are."""
@@ -363,13 +355,14 @@ class _Window:
             less = {j: float(np.mean(_energy(span.conj().T @ left) / size)) for j, span in spans.items()}
             best = max(less, key=less.__getitem__)
             free = self.t.size - basis.shape[1]
-            if free < 4 * powers.shape[1] or less[best] < _CLEAR * powers.shape[1] / free:
+            if free < 4 * powers.shape[1] or less[best] < TOL.harmonic_clear * powers.shape[1] / free:
                 break
             taken.append(best)
             basis = np.hstack([basis, spans[best]])
             left = left - spans[best] @ (spans[best].conj().T @ left)
             size = _energy(left)
-        if not {0, 1} & set(taken) or float(np.mean(size / start)) > _LEAVES:  # no machine has higher ones alone
+        # no machine has higher ones alone
+        if not {0, 1} & set(taken) or float(np.mean(size / start)) > TOL.harmonic_leaves:
             return np.zeros_like(self.residuals), []
         columns = np.hstack([base, *(self.inputs[j][:, None] * powers for j in taken)])
         columns /= np.sqrt(_energy(columns))

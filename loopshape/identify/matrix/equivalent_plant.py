@@ -26,6 +26,7 @@ from loopshape.data.algebra.propagation import invert, pick
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import EquivalentPlant
+from loopshape.identify.tolerances import TOL
 
 
 def equivalent_plant(
@@ -108,13 +109,6 @@ def _compared(frf: FRF, own: FRF, closed: FRF, slope: ComplexArray, i: int, othe
     return EquivalentPlant(own.loop, others, own, closed, ratio, relative, low, high, half_width_deg)
 
 
-#: probability beyond each end of a two-sided 95 % interval
-TAIL = 0.025
-#: in deviations: a factor nearer to zero has no known phase, and its correlation with others counts as if it hurt
-_PHASE_KNOWN = 4.0
-_FAR = 40.0  # deviations from which the lower end is normal
-
-
 class Reach(NamedTuple):
     """Lower and upper end, of any one shape."""
 
@@ -127,7 +121,7 @@ def _rice_table(tail: float) -> tuple[Array, Array]:
     """Measured magnitudes that `tail` of all measurements exceed, and the true ones, both in deviations."""
     from scipy.stats import ncx2
 
-    true = np.concatenate([np.linspace(0.0, 4.0, 81), np.geomspace(4.1, _FAR, 60)])
+    true = np.concatenate([np.linspace(0.0, 4.0, 81), np.geomspace(4.1, TOL.normal_std, 60)])
     return np.sqrt(0.5 * ncx2.isf(tail, 2, 2.0 * true**2)), true
 
 
@@ -148,7 +142,7 @@ def _widening(freedom: float, tail: float) -> tuple[float, float, float]:
     return float(-stdtrit(freedom, tail) / normal), threshold / float(np.sqrt(-np.log(tail))), threshold
 
 
-def magnitude_bounds(size: Array, deviation: Array, freedom: float = np.inf, tail: float = TAIL) -> Reach:
+def magnitude_bounds(size: Array, deviation: Array, freedom: float = np.inf, tail: float = TOL.tail) -> Reach:
     """Interval of |H| from its measurement `size` and `deviation` = sqrt(E|d|²), of one shape and unit.
 
     `freedom` are the degrees of freedom of the variance, `tail` the probability beyond each end. With a freedom below
@@ -166,7 +160,7 @@ def magnitude_bounds(size: Array, deviation: Array, freedom: float = np.inf, tai
 
 
 def product_bounds(
-    factors: ComplexArray, covariance: ComplexArray, signs: Array, freedom: float = np.inf, tail: float = TAIL
+    factors: ComplexArray, covariance: ComplexArray, signs: Array, freedom: float = np.inf, tail: float = TOL.tail
 ) -> Reach:
     """Interval (nf,) of |product of H_i ** s_i| from factors (nf, m), signs (m,) of +1 and -1, covariance (nf, m, m).
 
@@ -189,7 +183,7 @@ def product_bounds(
 
 def _correlation(factors: ComplexArray, covariance: ComplexArray, deviation: Array, signs: Array) -> Array:
     """Correlation (nf, m, m) of the factors' logarithms times their signs; the worst where a phase is not known."""
-    known = np.abs(factors) > _PHASE_KNOWN * deviation
+    known = np.abs(factors) > TOL.phase_known_std * deviation
     turn = np.where(known, factors.conj() / np.maximum(np.abs(factors), 1e-300), 0.0)
     scale = np.where(deviation > 0.0, deviation, np.inf)
     shared = covariance / (scale[:, :, None] * scale[:, None, :])

@@ -17,7 +17,8 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.interaction import BandVerdict, Coefficient, Interaction, RelativeGain
 from loopshape.data.signal.channel import Channel
-from loopshape.identify.matrix.equivalent_plant import TAIL, Reach, equivalent_plant, product_bounds
+from loopshape.identify.matrix.equivalent_plant import Reach, equivalent_plant, product_bounds
+from loopshape.identify.tolerances import TOL
 
 #: below it the source takes two joints as decoupled: H.7 of van den Brink, DCT 2007.002
 LIMIT_DB = -20.0
@@ -205,12 +206,12 @@ def _verdict(pair: _LoopPair, loops: tuple[str, str], limit_db: float, band: tup
 
 
 def _shared_tail(lines: int) -> float:
-    return float(-np.expm1(np.log1p(-TAIL) / lines))
+    return float(-np.expm1(np.log1p(-TOL.tail) / lines))
 
 
 def _word(pair: _LoopPair, lines: np.ndarray, limit: float, more: float) -> tuple[Coupling, np.ndarray]:
     """Verdict on some lines, and which of them are coupled, of so many times the averages."""
-    if np.all(_expected(pair, lines, TAIL, more).high < limit):
+    if np.all(_expected(pair, lines, TOL.tail, more).high < limit):
         return Coupling.DECOUPLED, np.zeros(lines.size, dtype=bool)
     coupled = _expected(pair, lines, _shared_tail(lines.size), more).low > limit
     return (Coupling.COUPLED if coupled.any() else Coupling.UNDECIDED), coupled
@@ -282,7 +283,7 @@ class _LoopPair:
             variance = np.real(np.einsum("fi,fij,fj->f", slope, self.covariance, slope.conj()))
         return np.sqrt(np.maximum(np.where(np.isnan(variance), np.inf, variance), 0.0))
 
-    def bounds(self, lines: np.ndarray, tail: float = TAIL, more: float = 1.0) -> Reach:
+    def bounds(self, lines: np.ndarray, tail: float = TOL.tail, more: float = 1.0) -> Reach:
         """Ends of |k_I| on some lines; with `more` than 1 those to be expected of that many times the averages."""
         H, C = self.elements[lines], self.covariance[lines]
         if more == 1.0:

@@ -27,11 +27,8 @@ from loopshape.identify.settings import Settings
 from loopshape.identify.signals import loop_signals
 from loopshape.identify.spectra.averages import against_instrument
 from loopshape.identify.spectra.transforms import Transforms, transform
+from loopshape.identify.tolerances import TOL
 
-#: a band's distortion counts where noise alone gives as much in fewer than this share of cases
-CHANCE = 1e-3
-#: one kind outweighs the other from here on, in dB
-CLEARLY_DB = 3.0
 HOW = (
     "record an odd multisine that leaves out one odd line in four or so (lines at 1, 3, 5, 9, 11, 13, ... times its"
     " lowest frequency), four periods or more"
@@ -221,7 +218,7 @@ def _seen(lines: Lines) -> bool:
         return False
     power = float(np.mean(lines.noise**2))
     ratio = float(np.mean(lines.amplitude**2)) / power if power > 0.0 else np.inf
-    return bool(fdtrc(2 * n, 2 * n, ratio) < CHANCE) if np.isfinite(ratio) else True
+    return bool(fdtrc(2 * n, 2 * n, ratio) < TOL.distortion_by_chance) if np.isfinite(ratio) else True
 
 
 def _verdict(bands: tuple[DistortionBand, ...], kinds: dict[str, Lines]) -> str:
@@ -262,7 +259,7 @@ def _sentence(b: DistortionBand, lowest: bool, kinds: dict[str, Lines]) -> str:
 
 def _likeness(word: str, main: float, less: float, lowest: bool) -> str:
     """What such distortion is like; a hint, never a finding."""
-    if less and db(main / less) < CLEARLY_DB:
+    if less and db(main / less) < TOL.distortion_clear_db:
         return ": both symmetric and asymmetric"
     if word == "even":
         return ": asymmetric, as unequal valves, gravity or an offset"

@@ -24,10 +24,6 @@ WIDTH = 3
 COMMON, TYPICAL, LOCAL, AROUND = 2.0, 5.0, 3.0, 10
 #: a signal of at most so many values is a switched one; of more than the second it is finely resolved
 FEW, FINE = 20, 200
-#: equal extreme samples in a row that are a clipped peak, and share of the samples at an extreme that is one anyway
-CLIPPED, CLIPPED_SHARE = 3, 0.02
-#: and how many times as many these must be as those one step of the resolution lower: a sine's crest has 2.4
-PILED = 4.0
 #: rows that a sentence names
 NAMED = 5
 
@@ -153,11 +149,15 @@ def saturated(values: Array, rate_hz: float, name: str = "the signal", first_row
     step = float(moves[moves > 0.0].min())
     many = x.size > 2 * FINE or np.unique(x).size > FINE
     rows, at = [], 0.0
+    # equal extreme samples in a row that are a clipped peak, and share of the samples at an extreme that is one
+    # anyway
+    clipped, clipped_share = 3, 0.02
     for extreme, following in ((x.max(), x[x < x.max()].max()), (x.min(), x[x > x.min()].min())):
         there = x == extreme
         most, next_most = int(there.sum()), int((x == following).sum())
-        piled = many and most > CLIPPED_SHARE * x.size and most > PILED * next_most
-        runs = [run for run in _runs(there) if run[1] - run[0] >= CLIPPED]
+        # and how many times as many these must be as those one step of the resolution lower: a sine's crest has 2.4
+        piled = many and most > clipped_share * x.size and most > 4.0 * next_most
+        runs = [run for run in _runs(there) if run[1] - run[0] >= clipped]
         if piled or any(_cut_off(x, *run, step) for run in runs):
             rows.append(first_row + np.flatnonzero(there))
             at = float(extreme)

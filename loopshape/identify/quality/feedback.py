@@ -25,6 +25,7 @@ from loopshape.identify.settings import Settings
 from loopshape.identify.signals import LoopSignals, has_instrument, read_signals
 from loopshape.identify.spectra.averages import against_instrument
 from loopshape.identify.spectra.transforms import transform
+from loopshape.identify.tolerances import TOL
 
 
 def direct_signals(
@@ -79,12 +80,6 @@ def biased_lines(
     return found, controller_note(f, found & (variance <= (KNOWN * np.abs(G)) ** 2), why)
 
 
-#: squared distance, in variances, up to which an estimate counts as equal: F(0.95) with many degrees of freedom
-EQUAL = 3.0
-#: fewer lines than this between such lines, or beyond the last of them, are as doubtful
-ISLAND = 25
-
-
 def controller_lines(a: Answers, G: ComplexArray, variance: Array, controller: Controller) -> np.ndarray:
     """Lines (nf,) whose direct estimate G (nf,) is -1/C within its uncertainty, or nearer to it than 10 % allows.
 
@@ -101,7 +96,7 @@ def controller_lines(a: Answers, G: ComplexArray, variance: Array, controller: C
         bias = noise * apart / (KNOWN * np.abs(G))
     bias = median_filter(np.nan_to_num(bias, nan=0.0, posinf=1e9), 9, mode="nearest")
     found = ((equal <= 1.0) | (bias > 1.0)).astype(np.uint8)
-    return np.asarray(grey_closing(found, (ISLAND,), mode="nearest") > 0)
+    return np.asarray(grey_closing(found, (TOL.island_lines,), mode="nearest") > 0)
 
 
 def _near_inverse(G: ComplexArray, variance: Array, C: ComplexArray) -> Array:
@@ -109,14 +104,8 @@ def _near_inverse(G: ComplexArray, variance: Array, C: ComplexArray) -> Array:
     or 10 %."""
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.abs(G + 1.0 / C)
-        near = np.minimum(apart**2 / (EQUAL * variance), apart / (KNOWN * np.abs(G)))
+        near = np.minimum(apart**2 / (TOL.equal_variances * variance), apart / (KNOWN * np.abs(G)))
     return np.asarray(median_filter(np.nan_to_num(near, nan=0.0, posinf=1e9), 9, mode="nearest"))
-
-
-#: lines over which two estimates are compared, and deviations beyond which one line by itself tells them apart
-ALONGSIDE, FAR = 9, 3.0
-#: relative deviation of the reference estimate up to which nine lines of it tell 10 %
-TELLS = 0.15
 
 
 def unconfirmed_lines(
@@ -140,18 +129,18 @@ def unconfirmed_lines(
     if not rows.any() or min(f.size, frequency_hz.size) < 2:
         return np.ones(frequency_hz.size, dtype=bool)
     usable = np.zeros(f.size, dtype=bool)
-    unsure = median_filter(np.sqrt(spread[rows]) / np.abs(other[rows]), ALONGSIDE, mode="nearest")
-    usable[rows] = plant.sound(rows) & (unsure <= TELLS)
+    unsure = median_filter(np.sqrt(spread[rows]) / np.abs(other[rows]), TOL.alongside_lines, mode="nearest")
+    usable[rows] = plant.sound(rows) & (unsure <= TOL.alongside_std)
     near = _nearest(f, frequency_hz)
     beside = np.abs(f[near] - frequency_hz) <= np.maximum(np.gradient(f)[near], np.gradient(frequency_hz))
     other = np.interp(frequency_hz, f[rows], other[rows])
     relative = np.sqrt(variance + np.interp(frequency_hz, f[rows], spread[rows])) / np.abs(other)
     known = usable[near] & beside
     apart = np.where(known, G / other - 1.0, 0.0)
-    weight = np.maximum(uniform_filter1d(known.astype(float), ALONGSIDE, mode="nearest"), 1e-9)
-    mean = np.abs([uniform_filter1d(x, ALONGSIDE, mode="nearest") for x in (apart.real, apart.imag)])
+    weight = np.maximum(uniform_filter1d(known.astype(float), TOL.alongside_lines, mode="nearest"), 1e-9)
+    mean = np.abs([uniform_filter1d(x, TOL.alongside_lines, mode="nearest") for x in (apart.real, apart.imag)])
     off = np.hypot(*mean) / weight > KNOWN
-    return np.asarray(~known | off | (np.abs(apart) > KNOWN + FAR * relative))
+    return np.asarray(~known | off | (np.abs(apart) > KNOWN + TOL.alone_std * relative))
 
 
 def _nearest(grid: Array, wanted: Array) -> np.ndarray:

@@ -21,26 +21,15 @@ from scipy.special import fdtrc
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.signal.excitation_parts import is_sweep, zero_crossings
+from loopshape.identify.tolerances import TOL
 
 #: samples of the past that enter one by one, how far means over stretches go on, and how far into the future
 NEAR, PAST, FUTURE = 32, 512, 64
 #: share of an input's power that its past does not predict: below the first it is rounding, below the second the
 #: input is a sweep, a multisine or the like, which a nonlinear plant answers as if it were fed back
 ROUNDING, PREDICTABLE = 1e-14, 1e-2
-#: share of an output's residual that a sweep's future explains where it is feedback: without, up to 15 % in 600 records
-#: whose input's sensor has noise, which makes a sweep less predictable; where more than the share of the sweep's power
-#: that follows is left without it, that is no sensor's noise and less will do
-CLEAR, NOISY, CLEAR_IF_NOISY = 0.15, 0.01, 0.05
 #: difference between periods, of the input's rms, up to which it repeats; noise that is fed back moves it by more
 REPEATED = 1e-6
-#: mean square, of the input's, by which it must have changed before it can repeat
-MOVED = 0.1
-#: an input of no more values than this, in its first rows, is switched: it may repeat under feedback too
-FEW_VALUES, MOST_UNIQUE = 20, 20_000
-#: moves of an input below which it has few, and what is a jump, of the median step from row to row
-FEW_MOVES, JUMP = 100, 9.0
-#: ticks of a clock, and the share of a switched signal's power that two levels hold
-TICKS, TWO_LEVELS = 8, 0.98
 #: zero crossings and rows over which a sweep is taken out at least, and the share of its power below which nothing is
 #: left of it but what the fit rounds off
 CYCLES, LEAST_ROWS, SWEPT = 8, 80, 1e-5
@@ -91,7 +80,7 @@ def feedback_check(
     least = 0.0
     if swept is not None:
         power = float(np.mean(swept[0] ** 2))
-        least = CLEAR_IF_NOISY if power > NOISY else CLEAR
+        least = TOL.feedback_share_noisy if power > TOL.feedback_noisy else TOL.feedback_share
         if power < SWEPT:
             return nothing_new(false_alarms, u.size, name, False, True)
         x, z = (_scaled(s) for s in swept)
@@ -129,7 +118,9 @@ def repeats(u: Array, period: int | None = None) -> bool:
     """
     x = _scaled(u)
     if period is None:
-        if x.size < 2 or np.unique(u[:MOST_UNIQUE]).size <= FEW_VALUES:
+        # an input of no more values than this, in its first rows, is switched: it may repeat under feedback too
+        few_values, most_unique = 20, 20_000
+        if x.size < 2 or np.unique(u[:most_unique]).size <= few_values:
             return False
         period = _best_lag(x)
     return 0 < period <= x.size // 2 and bool(np.abs(x[period:] - x[:-period]).max() <= REPEATED)
@@ -141,10 +132,12 @@ def _without_jumps(x: Array) -> Array:
     Of so few moves none tells what the output did before it from chance.
     """
     steps = np.diff(x, prepend=x[0])
-    many = float(np.sum(steps**2)) ** 2 >= FEW_MOVES * float(np.sum(steps**4))  # participation: how many count
+    # moves of an input below which it has few, and what is a jump, of the median step from row to row
+    few_moves, jump = 100, 9.0
+    many = float(np.sum(steps**2)) ** 2 >= few_moves * float(np.sum(steps**4))  # participation: how many count
     if many:
         return x
-    stretch = np.cumsum(np.abs(steps) > JUMP * np.median(np.abs(steps)))
+    stretch = np.cumsum(np.abs(steps) > jump * np.median(np.abs(steps)))
     return np.asarray(x - (np.bincount(stretch, x) / np.maximum(np.bincount(stretch), 1))[stretch])
 
 
@@ -152,7 +145,8 @@ def _clocked(u: Array) -> bool:
     """Whether an input (n,) switches between two levels as a clock does, to a sample all along: a relay's limit cycle
     that noise goes round loses the beat."""
     at, x = zero_crossings(u), u - 0.5 * (u.max() + u.min())
-    if at.size < 2 * TICKS or np.mean(np.abs(x)) ** 2 < TWO_LEVELS * np.mean(x**2):
+    ticks, two_levels = 8, 0.98  # ticks of a clock, and the share of a switched signal's power that two levels hold
+    if at.size < 2 * ticks or np.mean(np.abs(x)) ** 2 < two_levels * np.mean(x**2):
         return False
     return all(_late(part) <= 1.0 for part in (at[::2], at[1::2]))
 
@@ -170,7 +164,8 @@ def _best_lag(x: Array) -> int:
     with_itself = np.fft.irfft(np.abs(np.fft.rfft(x, 2 * n)) ** 2, 2 * n)[1 : half + 1]
     lags = np.arange(1, half + 1)
     left = (power[n - lags] + power[n] - power[lags] - 2.0 * with_itself) / (n - lags)
-    moved = np.flatnonzero(left > MOVED)  # a slow signal is like itself a sample later, and does not repeat for it
+    # mean square, of the input's, by which it must have changed before it can repeat
+    moved = np.flatnonzero(left > 0.1)  # a slow signal is like itself a sample later, and does not repeat for it
     close = np.flatnonzero((left < 1e-9) & (lags > (moved[0] + 1 if moved.size else half)))
     return int(lags[close[np.argmin(left[close])]]) if close.size else 0
 

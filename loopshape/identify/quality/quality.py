@@ -22,18 +22,12 @@ from loopshape.identify.quality.feedback_check import (
 from loopshape.identify.signals import input_signal
 from loopshape.identify.spectra.input_power import unfed_bands
 from loopshape.identify.spectra.transforms import measured_period
+from loopshape.identify.tolerances import TOL
 
 #: rows of a record that are looked at for feedback; more tell no more and take longer
 MOST_ROWS = 200_000
 #: rows that are looked at for feedback, at the least
 LEAST_ROWS = 200
-
-
-#: the output of a record in open loop may grow by this much from the first third of what moved to the last, rms; an
-#: unstable pole whose frequency the record resolves makes it grow by exp(4) and more
-GROWN = 10.0
-#: share of its range by which an input leaves its first value when it begins to move
-STARTED = 0.1
 
 
 def stayed_bounded(recordings: Sequence[Recording], loops: Sequence[LoopSetup], outputs: Sequence[str]) -> bool:
@@ -43,11 +37,14 @@ def stayed_bounded(recordings: Sequence[Recording], loops: Sequence[LoopSetup], 
     """
     if any(r.info.closed_loop for r in recordings):
         return False
+    # the output of a record in open loop may grow by this much from the first third of what moved to the last,
+    # rms; an unstable pole whose frequency the record resolves makes it grow by exp(4) and more
+    grown = 10.0
     for recording in recordings:
         start = min(_begins(input_signal(recording, loop)) for loop in loops)
         for expression in outputs:
             first, last = (extent(part).std for part in _first_and_last_third(recording.signal(expression), start))
-            if not last <= GROWN * first:
+            if not last <= grown * first:
                 return False
     return True
 
@@ -55,8 +52,9 @@ def stayed_bounded(recordings: Sequence[Recording], loops: Sequence[LoopSetup], 
 def _begins(u: Signal) -> int:
     """The row at which an input (n,) begins to move, in the first half."""
     whole, first, start = extent(u), float(u[:1][0]), 0
+    started = 0.1  # share of its range by which an input leaves its first value when it begins to move
     for (part,) in stretches(u):
-        moved = np.flatnonzero(np.abs(part - first) > STARTED * (whole.most - whole.least))
+        moved = np.flatnonzero(np.abs(part - first) > started * (whole.most - whole.least))
         if moved.size:
             return min(start + int(moved[0]), u.size // 2)
         start += part.size
@@ -129,7 +127,7 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
     found = loop_feedback(recording, loop, false_alarms=1e-4)
     if not found.detected:
         return ()
-    if found.explained > BEFORE_ITS_CAUSE:
+    if found.explained > TOL.before_its_cause:
         return (
             f"{found.sentence}; so much comes before its cause that {loop.control} and {loop.output} may be swapped",
         )
@@ -143,10 +141,6 @@ def open_loop_note(recording: Recording, loop: LoopSetup) -> tuple[str, ...]:
 #: over a band's upper half: slope of ln|G| over ln f, lead of the phase in rad; at its end, |G| over the band's largest
 #: and smallest, from which on together an estimate looks inverse
 RISES, LEADS, AT_ITS_LARGEST, ABOVE = 0.3, 0.1, 0.85, 3.0
-#: share of an output's unexplained power that its input's future explains, from which on the input may be the output
-BEFORE_ITS_CAUSE = 0.5
-#: part of an output that is no multiple of its input, squared, up to which it counts as an exact one
-EXACT = 1e-18
 
 
 def inverse_note(recording: Recording, loop: LoopSetup, frequency_hz: Array, G: ComplexArray) -> tuple[str, ...]:
@@ -189,11 +183,13 @@ def _slope(x: Array, y: Array, weight: Array) -> float:
 def _exact_multiple(u: Signal, y: Signal) -> bool:
     """Whether y (n,) is a u + b up to rounding; of long signals in each stretch, by one a and b in all of them."""
     gains = []
+    # part of an output that is no multiple of its input, squared, up to which it counts as an exact one
+    exact = 1e-18
     for a, b in stretches(u, y):
         a, b = a - a.mean(), b - b.mean()
         gains.append((a @ b) / (a @ a) if a.any() else 0.0)
         left = b - gains[-1] * a
-        if left @ left > EXACT * (b @ b):
+        if left @ left > exact * (b @ b):
             return False
     return bool(np.allclose(gains, gains[0], rtol=1e-6))
 

@@ -14,13 +14,10 @@ import numpy as np
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
 from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
+from loopshape.identify.tolerances import TOL
 
-#: resonances whose half width is above this many gaps between lines are smooth enough by themselves
-NARROW = 6.0
 #: order of the polynomial beside the pole; rounds over all poles, steps in each
 ORDER, ROUNDS, STEPS = 3, 3, 4
-#: noise leaves over this much at most, in 99.9 % of windows; more is rounding off, and counts so many times
-ROUNDED, CAREFUL = 3.3, 10.0
 #: places where a narrow resonance is read between lines, in half widths
 PLACES = np.tan(np.linspace(-1.45, 1.45, 81))
 #: lines are taken to err by this share of |P| at least
@@ -50,7 +47,8 @@ def pole_terms(frf: FRF, variance: Array) -> tuple[PoleTerm, ...]:
     """Narrow resonances of a 1 x 1 FRF with errors of `variance` (nf,), fitted together; none where none is seen."""
     f, y = frf.frequency_hz, frf.siso
     gap = np.gradient(f) if f.size > 1 else np.ones(1)
-    found = [x for x in resonances(frf) if abs(x.pole_hz.imag) < NARROW * np.interp(x.frequency_hz, f, gap)]
+    narrow = 6.0  # resonances whose half width is above this many gaps between lines are smooth enough by themselves
+    found = [x for x in resonances(frf) if abs(x.pole_hz.imag) < narrow * np.interp(x.frequency_hz, f, gap)]
     std = np.sqrt(variance + (FLOOR * np.abs(y)) ** 2 + 1e-300)
     for _ in range(ROUNDS if len(found) > 1 else 1):
         for k, one in enumerate(found):
@@ -86,7 +84,7 @@ def _influence(one: Resonance, f: Array, left: ComplexArray, std: Array) -> Comp
     rest = left[rows] / std[rows]
     rest = rest - A @ (inverse @ rest)
     misfit = float(np.sum(np.abs(rest) ** 2)) / max(rest.size - A.shape[1], 1)
-    excess = float(np.sqrt(max(CAREFUL * misfit if misfit > ROUNDED else misfit, 1.0)))
+    excess = float(np.sqrt(max(TOL.rounding_counts * misfit if misfit > TOL.noise_misfit else misfit, 1.0)))
     return np.asarray(excess * inverse[:2] / std[rows])
 
 

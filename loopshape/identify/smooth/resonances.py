@@ -17,6 +17,7 @@ import numpy as np
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.averages import pooled_variance
+from loopshape.identify.tolerances import TOL
 
 #: half widths of windows that are tried, in lines; windows stand half of that apart
 HALVES, APART = (4, 7, 12, 22, 36), 2
@@ -24,16 +25,8 @@ HALVES, APART = (4, 7, 12, 22, 36), 2
 ORDER, ROUNDS = 2, 3
 #: a pole is a resonance up to this damping, in this share of its window, and as wide as this share of its half at most
 DAMPED, MIDDLE, WIDE = 0.3, 0.5, 0.6
-#: its peak stands so far above what is left of P there
-VISIBLE = 0.5
-#: frequency and damping are known to this share of the half width; where only the frequency is, to this share of a gap
-KNOWN, PLACED = 0.25, 0.15
-#: its residue is so many standard deviations large
-SURE = 6.0
 #: a resonance has no less damping than this
 SHARPEST = 1e-4
-#: lines' worth of stated noise that what a window leaves over is added to
-PRIOR = 4.0
 #: lines are taken to err by this share of |P| at least: what the polynomial rounds off
 FLOOR = 1e-4
 
@@ -144,9 +137,11 @@ def _of_windows(f: Array, P: ComplexArray, variance: Array, half: int, overlap: 
     pole = z[k].real + 1j * np.where(z[k].imag < 0.0, -1.0, 1.0) * width / half_width
     residue, rest, error, sure, noisy = _with_residue(x[k], y[k], std[k], pole, overlap)
     residue, error, gap = residue * half_width, error * half_width, 2.0 * half_width / (2 * half)
-    known = error < KNOWN * width
-    placed = (error < PLACED * gap) & (width < gap)
-    good = (known | placed) & (sure > SURE) & (np.abs(residue) > VISIBLE * np.abs(rest) * np.maximum(width, error))
+    known = error < TOL.resonance_known * width
+    placed = (error < TOL.resonance_placed * gap) & (width < gap)
+    # its peak stands so far above what is left of P there
+    visible = np.abs(residue) > 0.5 * np.abs(rest) * np.maximum(width, error)
+    good = (known | placed) & (sure > TOL.resonance_std) & visible
     return [
         Resonance(
             frequency_hz=float(f0[i]),
@@ -219,12 +214,12 @@ def _seen_noise(left: ComplexArray, overlap: float, free: int) -> tuple[Array, A
     """Mean square (n,) of what is left over (n, lines) in the lines' own noise, and correlation of neighbours there.
 
     Leakage of Welch's estimates is less than their coherence tells and of the other sign from line to line. Few lines
-    tell little of it: PRIOR lines of what the FRF states are added (Newey and West, Econometrica 55, 1987).
+    tell little of it: `TOL.prior_lines` of what the FRF states are added (Newey and West, Econometrica 55, 1987).
     """
     alone = (np.abs(left) ** 2).sum(axis=1)
     beside = (left[:, 1:] * left[:, :-1].conj()).real.sum(axis=1)
-    square = (PRIOR + alone) / (PRIOR + left.shape[1] - free)
-    return square, (PRIOR * 0.5 * (overlap - 1.0) + beside) / (PRIOR + alone)
+    square = (TOL.prior_lines + alone) / (TOL.prior_lines + left.shape[1] - free)
+    return square, (TOL.prior_lines * 0.5 * (overlap - 1.0) + beside) / (TOL.prior_lines + alone)
 
 
 def _of_noise(influence: ComplexArray, square: Array, beside: Array) -> Array:

@@ -35,17 +35,14 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.smoothed import Dense, Scatter
 from loopshape.identify.smooth.pole_terms import PoleTerm, common_poles, pole_terms
 from loopshape.identify.spectra.averages import pooled_variance
+from loopshape.identify.tolerances import TOL
 
 #: half widths of windows that are tried, in lines
 HALVES = np.array([2, 3, 4, 5, 6, 8, 10, 13, 16, 20, 26, 32, 40, 50, 64, 80])
 #: degree that must leave only noise, and the one that is used
 TESTED, USED = 2, 4
-#: a window is too wide where the residual exceeds the noise by so many standard deviations
-STRICTNESS = 6.0
 #: widest window in ln f: from 1 to 5
 SPAN = 1.6
-#: a line's window is the median of those of so many lines about it: one line's bad luck does not narrow it alone
-AGREED = 11
 #: draws of the scatter, and their seed
 DRAWS, SEED = 200, 20071
 
@@ -135,8 +132,8 @@ def _floor(y: ComplexArray, v: Array) -> Array:
 def _halves(frf: FRF, y: ComplexArray, v: Array) -> np.ndarray:
     """Half widths (nf,) of the windows over lines y (nf,)."""
     x = np.log(frf.frequency_hz)
-    halves = accepted_halves(x, y, v, HALVES, TESTED, STRICTNESS, frf.line_overlap, SPAN)
-    return within_span(x, median_filter(halves, size=AGREED, mode="nearest"), SPAN)
+    halves = accepted_halves(x, y, v, HALVES, TESTED, TOL.smooth_std, frf.line_overlap, SPAN)
+    return within_span(x, median_filter(halves, size=TOL.smooth_lines, mode="nearest"), SPAN)
 
 
 def smoother_of(frf: FRF, y: ComplexArray, v: Array) -> csr_array:
@@ -247,16 +244,8 @@ def _root(covariance: ComplexArray, variance: Array) -> ComplexArray:
     return np.asarray(np.sqrt(variance)[:, :, None] * root)
 
 
-#: an FRF of no more frequencies stays as it is
-_MANY = 20_000
 #: groups in a window, the degree that must leave only noise in it, and the widest group in ln f
 _WINDOW, _DEGREE, _WIDEST = 16, 2, 0.005
-#: chance that all windows of noise alone leave one out
-_FALSE_ALARM = 1e-3
-#: values are taken to err by this share of |P| at least: what a polynomial may round off
-_FLOOR = 1e-4
-#: variances of neighbours that are merged differ by this factor at most
-_ALIKE = 4.0
 
 _FEWER: WeakKeyDictionary[FRF, FRF] = WeakKeyDictionary()
 
@@ -273,7 +262,8 @@ def merged(frf: FRF) -> FRF:
     Misleads where the stated variance is larger than the true one: then a narrow resonance can pass as noise. Where it
     is too small everywhere, what windows leave over in the median is taken for the noise.
     """
-    if frf.frequency_hz.size <= _MANY:
+    many = 20_000  # an FRF of no more frequencies stays as it is
+    if frf.frequency_hz.size <= many:
         return frf
     if frf not in _FEWER:
         v = pooled_variance(frf)
@@ -287,7 +277,8 @@ def _starts(frf: FRF, v: Array) -> np.ndarray:
     while True:
         f, P = _means(frf.frequency_hz, starts), _means(frf.siso, starts)
         variance = _variance(v, starts, frf.line_overlap)
-        tested = variance + (_FLOOR * np.abs(P)) ** 2 + 1e-300
+        # values are taken to err by this share of |P| at least: what a polynomial may round off
+        tested = variance + (1e-4 * np.abs(P)) ** 2 + 1e-300
         excess = excesses(np.log(f), P, tested, _WINDOW, _DEGREE, frf.line_overlap)
         noise = max(float(np.median(excess)), 1.0) if size == 1 else noise
         smooth = _nothing_but_noise(excess / noise, starts.size, frf.line_overlap)
@@ -301,7 +292,7 @@ def _nothing_but_noise(excess: Array, groups: int, overlap: float) -> np.ndarray
     """Whether all windows about each group (groups,) leave no more than noise, by its chance over all windows."""
     common = 0.5 * (min(overlap, 1.94) - 1.0)
     freedom = 2.0 * (_WINDOW - _DEGREE - 1) / (1.0 + 2.0 * common**2)
-    good = excess <= chdtri(freedom, _FALSE_ALARM / excess.size) / freedom
+    good = excess <= chdtri(freedom, TOL.merged_by_chance / excess.size) / freedom
     smooth = np.ones(groups, dtype=bool)
     for k in np.flatnonzero(~good):
         low = min(int(k) * (_WINDOW // 2), groups - _WINDOW)
@@ -315,7 +306,7 @@ def _seconds(frf: FRF, starts: np.ndarray, smooth: np.ndarray, variance: Array, 
     whole = (ends - starts == size) & smooth
     low, high = np.minimum(variance[1:], variance[:-1]), np.maximum(variance[1:], variance[:-1])
     second = np.zeros(starts.size, dtype=bool)
-    second[1:] = whole[1:] & whole[:-1] & (starts[:-1] % (2 * size) == 0) & (high <= _ALIKE * low)
+    second[1:] = whole[1:] & whole[:-1] & (starts[:-1] % (2 * size) == 0) & (high <= TOL.merged_ratio * low)
     second[1:] &= frf.valid[starts[1:]] == frf.valid[starts[:-1]]
     second[1:] &= np.log(f[ends[1:] - 1] / f[starts[:-1]]) < _WIDEST
     return second

@@ -14,6 +14,7 @@ from scipy.special import digamma
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.transforms import Transforms
+from loopshape.identify.tolerances import TOL
 
 
 def against_instrument(t: Transforms) -> ComplexArray:
@@ -21,41 +22,6 @@ def against_instrument(t: Transforms) -> ComplexArray:
     power = (np.abs(t.instrument) ** 2).sum(0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.einsum("skf,kf->fs", t.signals, t.instrument.conj()) / power[:, None])
-
-
-#: degrees of freedom wanted of a variance; with fewer periods it is pooled over neighbouring lines
-POOLED = 40
-
-
-def error_covariance(t: Transforms, residual: ComplexArray) -> tuple[ComplexArray, float, int]:
-    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf), its degrees of freedom, and over how
-    many lines it is pooled.
-
-    Where every segment carries the same excitation (noise, periods) the noise is pooled over all, and with
-    few periods over neighbouring excited lines too: noise that stands on one line alone is then underrated.
-    Where a sweep passes, each segment's residual counts with its own excitation, which follows disturbances
-    that come with the sweep; the number of averages is then per line, and a line carried by less than about
-    one and a half gets an infinite variance.
-    """
-    nn = np.abs(t.instrument) ** 2
-    k = nn.shape[0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if t.stationary:
-            averages = np.full(nn.shape[1], k * t.independent)
-            noise = np.einsum("akf,bkf->fab", residual, residual.conj()) / k
-            each = 2.0 * max(k * t.independent - 1.0, 0.5)
-            width = int(np.ceil(POOLED / each)) if t.power_per == "line" else 1
-            noise[t.excited] = smoothed(noise[t.excited], width // 2)
-            pooled = 2 * (width // 2) + 1
-            scatter, freedom = noise * nn.sum(0)[:, None, None], each * pooled
-        else:
-            averages = t.independent * nn.sum(0) ** 2 / (nn**2).sum(0)
-            scatter = smoothed(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
-            squared = t.independent * nn.sum(0) ** 2
-            return line_covariance(scatter, averages, squared, t.excited, t.line_overlap)
-        unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
-        scale = unbiased / (t.independent * nn.sum(0) ** 2)
-        return np.asarray(scatter * scale[:, None, None]), freedom, pooled
 
 
 def line_covariance(
@@ -81,10 +47,6 @@ def smoothed(power: ComplexArray, half: int) -> ComplexArray:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(-1))
 
 
-#: a variance with fewer degrees of freedom is pooled with its neighbours' until it has as many
-FREEDOM = 60.0
-
-
 def pooled_variance(frf: FRF) -> Array:
     """Variance E|d|² (nf,) of the lines, pooled over neighbours (41 at most) until it has 60 degrees of freedom.
 
@@ -93,9 +55,9 @@ def pooled_variance(frf: FRF) -> Array:
     of the variance or of its share of |P|², whichever is the flatter about a line.
     """
     v, freedom = np.array(frf.variance[:, 0, 0]), frf.variance_freedom
-    if freedom >= FREEDOM or not v.any():
+    if freedom >= TOL.decided_freedom or not v.any():
         return v
-    window = min(int(np.ceil(FREEDOM / freedom)) * frf.variance_pooled, 41, v.size)
+    window = min(int(np.ceil(TOL.decided_freedom / freedom)) * frf.variance_pooled, 41, v.size)
     ln_v = np.log(np.maximum(v, 1e-12 * np.median(v) + 1e-300))
     means, misses = [], []
     for base in (np.zeros(v.size), np.log(np.abs(frf.siso) ** 2 + 1e-300)):

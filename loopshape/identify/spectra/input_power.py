@@ -20,8 +20,6 @@ from loopshape.core.units import Array, ComplexArray
 FLOOR = 10.0**-7.5
 #: share of an input's power at a line that is its own, not the others'; at less, errors grow by a factor of thirty
 OWN_SHARE = 1e-3
-#: a line at the end of a fed stretch that is weaker than this share of its inner neighbour is that one's side
-SMEAR = 0.3
 
 
 @dataclass(frozen=True)
@@ -101,10 +99,13 @@ def _without_smear(fed: np.ndarray, power: Array) -> np.ndarray:
     """
     out = fed.copy()
     edges = np.flatnonzero(np.diff(np.concatenate([[0], fed.astype(int), [0]])))
+    # a line at the end of a fed stretch that is weaker than this share of its inner neighbour is that one's
+    # side
+    smear = 0.3
     for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         for outer, inwards in ((start, 1), (end - 1, -1)):
             for k in (outer, outer + inwards):
-                if not start <= k + inwards < end or power[k] > SMEAR * power[k + inwards]:
+                if not start <= k + inwards < end or power[k] > smear * power[k + inwards]:
                     break
                 out[k] = False
     return np.asarray(out)

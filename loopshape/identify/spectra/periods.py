@@ -18,11 +18,10 @@ from loopshape.core.units import Array, ComplexArray
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
 from loopshape.identify.settings import Settings
-from loopshape.identify.spectra.averages import POOLED, smoothed
+from loopshape.identify.spectra.averages import smoothed
 from loopshape.identify.spectra.transforms import Transforms, transform
+from loopshape.identify.tolerances import TOL
 
-#: the least level of noise, as a share of what enters the loop
-TINY = 1e-9
 #: one recording's part: itself, its signals (n,), all instruments (n,) in order, and the place of one that it moves
 Part = tuple[Recording, Sequence[Array], Sequence[Array], int]
 #: from responses (nf, m, nr) how large noise in the m signals is expected on each line (nf, m), but for a factor that
@@ -114,7 +113,8 @@ def _block(
         size = m * R.shape[1]
         level = np.ones((H.shape[0], m))
         if shape is not None:
-            level[excited] = np.maximum(shape(H[excited]), TINY)
+            tiny = 1e-9  # the least level of noise, as a share of what enters the loop
+            level[excited] = np.maximum(shape(H[excited]), tiny)
         both = level[:, :, None] * level[:, None, :]
         covariance = np.zeros((H.shape[0], size, size), dtype=complex)
         for row, t in enumerate(spectra):
@@ -130,7 +130,7 @@ def _block(
 
 def _lines_pooled(each: float) -> int:
     """Over how many neighbouring lines a variance of `each` degrees of freedom is averaged, to have some forty."""
-    return 2 * (int(np.ceil(POOLED / each)) // 2) + 1
+    return 2 * (int(np.ceil(TOL.variance_freedom / each)) // 2) + 1
 
 
 def _pooled(power: ComplexArray, each: float, excited: np.ndarray) -> ComplexArray:

@@ -18,13 +18,7 @@ from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.averages import line_covariance, smoothed
 from loopshape.identify.spectra.input_power import powered
 from loopshape.identify.spectra.transforms import clear_of_edges, segments_of, window_of
-
-#: averages that longer segments must leave
-LEAST_AVERAGES = 6.0
-#: standard deviations of bias from which on longer segments, of larger deviation, are worth their while
-WORTH_LONGER = 2.0
-#: bias of H, relative, from which on a line counts as unresolved
-SEEN_BIAS = 0.02
+from loopshape.identify.tolerances import TOL
 
 
 def by_welch(
@@ -48,9 +42,9 @@ def by_welch(
 
 def _worth_longer(found: Answers, rate_hz: float) -> int:
     """Samples of segments twice as long, where lines are not resolved and averages are left; else 0."""
-    if found.averages < 2.0 * LEAST_AVERAGES:
+    if found.averages < 2.0 * TOL.least_averages:
         return 0
-    if not _unresolved(found.response, found.covariance, found.excited, WORTH_LONGER).any():
+    if not _unresolved(found.response, found.covariance, found.excited, TOL.bias_std).any():
         return 0
     return round(2.0 * rate_hz / float(found.frequency_hz[1]))
 
@@ -133,7 +127,7 @@ def _unresolved(
     inner = np.asarray(binary_erosion(excited, np.ones(3, dtype=bool)))
     with np.errstate(invalid="ignore"):
         off = np.nan_to_num(np.abs(bias_of(response)) ** 2)
-        seen = off > (SEEN_BIAS * np.abs(response)) ** 2
+        seen = off > (TOL.bias_seen * np.abs(response)) ** 2
     variance = np.nan_to_num(variance, nan=np.inf)
     rows = np.flatnonzero(inner & (seen & (off > 0.25 * deviations**2 * _by_blocks(variance))).any(axis=(1, 2)))
     around = np.clip(rows[:, None] + np.arange(-7, 8), 0, nf - 1)

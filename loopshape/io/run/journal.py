@@ -19,7 +19,6 @@ from loopshape.io.input_guard import own
 
 FILE = "journal.jsonl"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a line is never written elsewhere
-_LONGEST = 64 * 1024 * 1024  # bytes read
 
 
 def note(folder: Path, event: str, **words: object) -> None:
@@ -59,7 +58,8 @@ def read_journal(folder: Path) -> tuple[list[Mapping[str, Any]], int]:
     with reading(path, "a journal"):
         if not path.is_file():
             raise ValueError("it is no file")
-        if path.stat().st_size > _LONGEST:
+        longest = 64 * 1024 * 1024  # bytes read
+        if path.stat().st_size > longest:
             raise ValueError(f"{path.stat().st_size} bytes")
         lines = path.read_bytes().decode("utf-8", "replace").splitlines()
     read: list[Mapping[str, Any]] = []

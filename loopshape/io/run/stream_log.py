@@ -29,9 +29,7 @@ from loopshape.io.run.tables import TIME, write_table
 ARRIVING = ".arriving"  # ending of a recording that has not ended
 EARLIER = "earlier"  # folder of tables that are not, or no longer, recordings of the run
 FORMAT = "loopshape-arriving/1"
-SYNC_S = 1.0  # a power cut costs no more than this
 _BLOCK = struct.Struct("<II")
-_LONGEST_HEAD = 1024 * 1024  # bytes
 
 Append = Callable[[Mapping[str, Array]], None]
 
@@ -76,8 +74,9 @@ def open_stream_log(
 def _sync_now_and_then(handle: int, over: threading.Event) -> None:
     """Beside the recording, which waits for no disk; once more at its end."""
     ended = False
+    sync_s = 1.0  # a power cut costs no more than this
     while not ended:
-        ended = over.wait(SYNC_S)
+        ended = over.wait(sync_s)
         with suppress(OSError):
             os.fsync(handle)
 
@@ -86,7 +85,8 @@ def read_arriving(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
     """Head, and columns (n,) up to the first block that is torn or changed. Refuses a file without a whole head."""
     with reading(path, "a recording as it arrived"):
         data = path.read_bytes()
-        line, end, _ = data[:_LONGEST_HEAD].partition(b"\n")
+        longest_head = 1024 * 1024  # bytes
+        line, end, _ = data[:longest_head].partition(b"\n")
         head = json.loads(line)
         names, width = list(head["columns"]), len(head["columns"])
         if head["format"] != FORMAT or not end or not all(isinstance(name, str) for name in names):

@@ -28,7 +28,6 @@ from loopshape.io.stamps import check_rate
 ENDINGS = (".parquet", ".csv", ".csv.gz")
 TIME = "t_s"
 _ABOUT = "loopshape"  # key of a file's metadata
-_BATCH = 1 << 17  # rows of a column that are packed at once
 _LOOKED_AT = 1000  # values of a column, evenly spread, that its packing is chosen by
 #: bytes of columns that all tables together keep in memory; those used longest ago are read again when asked for
 KEPT_BYTES = 192_000_000
@@ -321,12 +320,13 @@ def _packing(signals: Mapping[str, Signal]) -> dict[str, Any]:
     packed as they stand; a dictionary makes them smaller and takes twice as long.
     """
     first = next(stretches(*signals.values()), ())
+    batch = 1 << 17  # rows of a column that are packed at once
     return {
         "compression": "lz4",
         "use_dictionary": False,
         "use_byte_stream_split": [n for n, values in zip(signals, first, strict=False) if not _come_again(values)],
         "write_statistics": False,
-        "write_batch_size": _BATCH,
+        "write_batch_size": batch,
     }
 
 

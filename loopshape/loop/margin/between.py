@@ -20,9 +20,8 @@ from loopshape.identify.smooth.pole_terms import PLACES
 from loopshape.identify.smooth.smoothing import SEED, drawn_errors
 from loopshape.loop.loop import Loop
 from loopshape.loop.stability.mode_clusters import SHARPEST, ModeCluster
+from loopshape.loop.tolerances import TOL
 
-#: draws of the errors of lines that were not smoothed
-DRAWN = 50
 #: L is read between lines where it moves by so much of |1 + L| and is no smaller than this, on so many places at most
 STEP, SMALL, MOST = 0.05, 0.05, 12
 #: places along a path past a pole, in half widths of it: even on its circle, and on to where it is straight
@@ -91,7 +90,8 @@ def between_lines(loop: Loop) -> Dense:
     variance = loop.plant.variance[:, 0, 0]
     if not variance.any():
         return Dense(f, P, P, np.zeros((1, f.size), dtype=complex))
-    return Dense(f, P, P, drawn_errors(np.random.default_rng(SEED), variance, loop.plant.line_overlap, DRAWN))
+    rng, overlap = np.random.default_rng(SEED), loop.plant.line_overlap
+    return Dense(f, P, P, drawn_errors(rng, variance, overlap, TOL.deviation_draws))
 
 
 def _controller_places(controller: Controller, f: Array) -> Array:

@@ -24,10 +24,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import gammaincinv, ndtri
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.noise import rms_interval
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, ComplexArray, angular
 from loopshape.data.requirement.requirements import LIMITS, Requirements
@@ -37,21 +36,12 @@ from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.saturated import LONGEST, RARE, RECORDS, Actuator, Factor, Factors, Loops, Record, factors
 from loopshape.loop.stability.continued import Continued, continued
+from loopshape.loop.tolerances import TOL
 
 #: names of the limits that need a disturbance
 DISTURBED = tuple(limit.name for limit in LIMITS if limit.disturbed)
 #: share of the error's power outside the measured band from which on a warning is given
 OUTSIDE = 0.1
-#: share of a record at each of its ends that its transform blurs
-ENDS = 0.1
-#: parts of a record that tell how it scatters, draws of noise beside it, and the ratio that noise hardly comes to (chi
-#: square of 23 degrees of freedom: 1.5 in 6 %); so many of the largest tell how large it gets
-BLOCKS, SURROGATES, BURSTS, TAIL = 24, 8, 1.5, 6
-#: and the ratio from which on a record is unlike noise
-UNLIKE = 3.0
-#: an event so many times as large as those about it let expect is one of its own
-ALONE = 1.5
-NORMAL_95 = 1.96
 
 
 @dataclass(frozen=True)
@@ -282,29 +272,31 @@ def _changed(
 
 def _bursts(signal: Array) -> float:
     """How many times as much the mean square of a signal scatters as that of noise with its spectrum; 1 at least."""
-    n = signal.size // (2 * BLOCKS) * 2 * BLOCKS
-    if n < 8 * BLOCKS:
+    parts = TOL.record_parts
+    n = signal.size // (2 * parts) * 2 * parts
+    if n < 8 * parts:
         return 1.0
     size, rng = np.abs(np.fft.rfft(signal[:n])), np.random.default_rng(0)
-    noise = np.fft.irfft(size * np.exp(2j * np.pi * rng.random((SURROGATES, size.size))), n)
-    scatter = [np.var(np.mean(x.reshape(BLOCKS, -1) ** 2, axis=1)) for x in (signal[:n], *noise)]
+    noise = np.fft.irfft(size * np.exp(2j * np.pi * rng.random((TOL.record_surrogates, size.size))), n)
+    scatter = [np.var(np.mean(x.reshape(parts, -1) ** 2, axis=1)) for x in (signal[:n], *noise)]
     ratio = float(scatter[0] / max(np.mean(scatter[1:]), 1e-300))
-    return ratio if ratio > BURSTS else 1.0
+    return ratio if ratio > TOL.bursts else 1.0
 
 
 def _largest_of_blocks(signal: Array, samples: float) -> Array:
     """The largest |value| of a record of so many samples, (3,) at 2.5, 50 and 97.5 %, by the largest of its blocks.
 
-    The largest `TAIL` of them lie exponentially above the next one; the error of their scale is in it. One event alone
+    The largest of them lie exponentially above the next one; the error of their scale is in it. One event alone
     is as large as it was.
     """
-    found = np.sort(np.abs(signal[: signal.size // BLOCKS * BLOCKS]).reshape(BLOCKS, -1).max(axis=1))
-    threshold = float(found[-TAIL - 1])
-    scale = float(found[-TAIL:].mean()) - threshold
-    away = scale * np.log(TAIL * samples / signal.size / -np.log([0.025, 0.5, 0.975]))
-    reach = np.hypot(away - away[1], NORMAL_95 * away[1] / np.sqrt(TAIL))
+    parts, tail = TOL.record_parts, TOL.largest_parts
+    found = np.sort(np.abs(signal[: signal.size // parts * parts]).reshape(parts, -1).max(axis=1))
+    threshold = float(found[-tail - 1])
+    scale = float(found[-tail:].mean()) - threshold
+    away = scale * np.log(tail * samples / signal.size / -np.log([0.025, 0.5, 0.975]))
+    reach = np.hypot(away - away[1], TOL.normal_95 * away[1] / np.sqrt(tail))
     ends = np.maximum(threshold + away[1] + np.array([-1.0, 0.0, 1.0]) * reach, 1e-9 * max(found[-1], 1e-300))
-    return np.asarray(ends * found[-1] / ends[1] if found[-1] > ALONE * ends[1] else ends)
+    return np.asarray(ends * found[-1] / ends[1] if found[-1] > TOL.event_alone * ends[1] else ends)
 
 
 def _lines(n: int, rate_hz: float) -> Array:
@@ -335,7 +327,8 @@ def _recorded(loop: Loop, disturbance: Disturbance) -> Record:
         return Record(np.zeros(0), np.zeros(0))
     f = _lines(n, loop.controller.rate_hz)
     error = np.fft.rfft(disturbance.samples[:n])[1 : f.size + 1]
-    made, edge = _through_time(loop, _old(disturbance, f), error, n), int(ENDS * n)
+    # share of a record at each of its ends that its transform blurs
+    made, edge = _through_time(loop, _old(disturbance, f), error, n), int(0.1 * n)
     if disturbance.repeats:  # at rest before it and after
         return Record(made.control - made.control[-1], made.error - made.error[-1])
     return Record(made.control[edge : n - edge], made.error[edge : n - edge])
@@ -400,7 +393,7 @@ class _Peak:
         levels = np.maximum([largest(crossings, samples, x) for x in chances], 1e-9)
         most, rms = float(np.abs(own).max(initial=0.0)), float(power.rms[0])
         usual = not levels.size or most == 0.0 or levels[0] * rms <= most <= levels[4] * rms
-        return cls(power, levels, None if usual and bursts < UNLIKE else _largest_of_blocks(own, samples))
+        return cls(power, levels, None if usual and bursts < TOL.unlike_noise else _largest_of_blocks(own, samples))
 
     @property
     def unlike(self) -> bool:
@@ -485,3 +478,12 @@ def _of_one(found: Disturbed, name: str, loop: Loop, asked: Sequence[str]) -> It
             f"{100.0 * found.outside:.0f} % of the power of the error at {name} lies outside the measured band,"
             f" {low:.3g} to {high:.3g} Hz, where the plant is continued"
         )
+
+
+def rms_interval(power: float, variance: float) -> tuple[float, float]:
+    """95 % interval of a rms, from the mean square and its variance, as that of chi square with their ratio."""
+    if power <= 0.0 or variance <= 0.0:
+        return float(np.sqrt(max(power, 0.0))), float(np.sqrt(max(power, 0.0)))
+    freedom = 2.0 * power**2 / variance
+    low, high = (float(np.sqrt(0.5 * power * freedom / gammaincinv(0.5 * freedom, level))) for level in (0.975, 0.025))
+    return low, high

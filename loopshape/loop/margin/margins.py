@@ -24,10 +24,8 @@ from loopshape.loop.stability.holes import gaps_of
 from loopshape.loop.stability.low_end import BELOW_RATIOS, LowModel, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.stability.obstacles import slope_at_end
 from loopshape.loop.stability.stability import closed_loop_stability
+from loopshape.loop.tolerances import TOL
 
-#: half width of a 95 % interval in standard deviations taken from 200 draws; 4 % more for the windows that were chosen
-#: from the same lines, which the draws do not repeat (measured in experiments/margin_coverage)
-REACH = 1.04 * 1.972
 Interval = tuple[float, float]
 
 #: limits that the kernel reads, each with its column
@@ -57,33 +55,27 @@ class Reader:
         return cls(requirements.control_high_frequency_from_hz or np.inf, requirements.masks, requirements.weights)
 
     def read(
-        self, f: Array, L: ComplexArray, C: ComplexArray, above_hz: Array, C_above: ComplexArray,
-        *, bounded: bool = True, least: float = 0.0,
-    ) -> tuple[Array, Array]:  # fmt: skip
-        """Columns (loops, columns) of the kernel for open loops L (loops, nf) under C (nf,), and where they lie in Hz.
+        self, L: ComplexArray, lines: kernel.Lines, *, bounded: bool = True, least: float = 0.0
+    ) -> tuple[Array, Array]:
+        """Columns (loops, columns) of the kernel for open loops L (loops, nf), and where they lie in Hz.
 
         What |L| may do above the last line counts where `bounded`: it stays below its last value, or `least`.
         """
-        f, L, C, above_hz, C_above = _seen(f, L, C, above_hz, C_above)
-        over, over_above = self._over(f, above_hz)
-        return kernel.read_margins(f, L, C, above_hz, C_above, self.from_hz, bounded, over, over_above, True, least)
+        return kernel.read_margins(_seen(L)[0], *self._asked(lines, bounded, least))
 
     def read_drawn(
-        self, f: Array, reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, C: ComplexArray,
-        above_hz: Array, C_above: ComplexArray, *, bounded: bool = True, least: float = 0.0,
+        self, reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, lines: kernel.Lines, *,
+        bounded: bool = True, least: float = 0.0,
     ) -> Array:  # fmt: skip
-        """Columns (draws, columns) for `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
-        f, reference, factor, draws, C = _seen(f, reference, factor, draws, C)
-        over, over_above = self._over(f, above_hz)
-        above_hz, C_above = _seen(above_hz, C_above)
-        return kernel.read_drawn(
-            f, reference, factor, draws, C, above_hz, C_above, self.from_hz, bounded, over, over_above, least
-        )
+        """Columns (draws, columns) of loops that are drawn, as the kernel has them."""
+        one, times, many = _seen(reference, factor, draws)
+        return kernel.read_drawn(one, times, many, *self._asked(lines, bounded, least))
 
-    def _over(self, f: Array, above_hz: Array) -> list[Array]:
-        """What weighs squared magnitudes on the lines and above them; no rows where nothing does."""
+    def _asked(self, lines: kernel.Lines, bounded: bool, least: float) -> tuple[kernel.Lines, kernel.Asked]:
+        """Lines as the kernel takes them, and what weighs squared magnitudes there; no rows where nothing does."""
         rows = None if self.masks or self.weights else 0
-        return _seen(*(over(self.masks, self.weights, x)[:rows] for x in (f, above_hz)))
+        on, above = _seen(*(over(self.masks, self.weights, x)[:rows] for x in (lines.f, lines.f_above)))
+        return kernel.Lines(*_seen(*lines)), kernel.Asked(self.from_hz, on, above, bounded, True, least)
 
 
 def _seen(*arrays: np.ndarray) -> list[np.ndarray]:
@@ -111,9 +103,9 @@ class _Judged:
         if self.deviations is None or self.factor is None:
             return False
         size = np.abs(self.L)
-        large = size > 0.1
+        large = size > TOL.drowned_gain
         relative = (np.abs(self.factor) * spread(self.deviations)[1])[large] / size[large]
-        return bool(relative.size and np.mean(relative > 0.7) > 0.1)
+        return bool(relative.size and np.mean(relative > TOL.drowned_std) > 0.1)
 
     def drawn_at(self, k: np.ndarray) -> ComplexArray:
         """What draws (draws, m) do to L on some lines k (m,); none where no scatter is known."""
@@ -163,23 +155,11 @@ def margins(
     """
     j = _judged(loop)
     reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks), tuple(weights))
-    first, *others = _readings_from_below(loop, j)
-    found, at = _read(loop, first, first.L[None], reader)
-    value, low, high = _with_intervals(loop, first, found[0], reader)
-    for other in others:  # what the models disagree about is as unknown as what noise hides
-        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], reader)[0][0], reader)
-        low, high = np.minimum(low, lower), np.maximum(high, higher)
-    bounds = _bounds(loop, first, found[0], reader)
+    readings = _readings_from_below(loop, j)
+    known, first = _found(loop, j, readings, reader), readings[0]
     stability = closed_loop_stability(loop)
     crossings, crossing_intervals = _crossings(first, unit=True)
     phase_crossings, phase_intervals = _crossings(first, unit=False)
-    ends = _values(low), _values(high)
-    pairs = {} if j.deviations is None else {n: (ends[0][n], ends[1][n]) for n in ends[0] if n in ends[1]}
-    intervals = {n: (min(pair), max(pair)) for n, pair in pairs.items()}
-    known = _Found(_values(value), bounds, intervals, _places(at[0], float(j.f[0])))
-    if first is j and not is_large(loop) and j.f.size > 1 and j.f[0] > kernel.AT_ZERO * j.f[1]:
-        _bounded_below(loop, j, known)
-    _bounded_above(loop, j, known)
     made = Margins.of(
         known.values,
         stability.outcome,
@@ -225,6 +205,25 @@ class _Found(NamedTuple):
         self.values[name] = float("nan")
         self.bounds.pop(name, None)
         self.intervals.pop(name, None)
+
+
+def _found(loop: Loop, j: _Judged, readings: Sequence[_Judged], reader: Reader) -> _Found:
+    """What a loop's lines say with what lies below them: the first of the readings, and how the others differ."""
+    first = readings[0]
+    found, at = _read(loop, first, first.L[None], reader)
+    value, low, high = _with_intervals(loop, first, found[0], reader)
+    for other in readings[1:]:  # what the models disagree about is as unknown as what noise hides
+        _, lower, higher = _with_intervals(loop, other, _read(loop, other, other.L[None], reader)[0][0], reader)
+        low, high = np.minimum(low, lower), np.maximum(high, higher)
+    bounds = _bounds(loop, first, found[0], reader)
+    ends = _values(low), _values(high)
+    pairs = {} if j.deviations is None else {n: (ends[0][n], ends[1][n]) for n in ends[0] if n in ends[1]}
+    intervals = {n: (min(pair), max(pair)) for n, pair in pairs.items()}
+    known = _Found(_values(value), bounds, intervals, _places(at[0], float(j.f[0])))
+    if first is j and not is_large(loop) and j.f.size > 1 and j.f[0] > kernel.AT_ZERO * j.f[1]:
+        _bounded_below(loop, j, known)
+    _bounded_above(loop, j, known)
+    return known
 
 
 def _bounded_below(loop: Loop, j: _Judged, found: _Found) -> None:
@@ -307,7 +306,11 @@ def _readings_from_below(loop: Loop, j: _Judged) -> list[_Judged]:
 
 
 def _read(loop: Loop, j: _Judged, L: ComplexArray, reader: Reader, *, bounded: bool = True) -> tuple[Array, Array]:
-    return reader.read(j.f, L, j.C, loop.above_hz, loop.C_above, bounded=bounded, least=loop.largest_above)
+    return reader.read(L, _lines(loop, j), bounded=bounded, least=loop.largest_above)
+
+
+def _lines(loop: Loop, j: _Judged) -> kernel.Lines:
+    return kernel.Lines(j.f, j.C, loop.above_hz, loop.C_above)
 
 
 def _bounds(loop: Loop, j: _Judged, found: Array, reader: Reader) -> dict[str, float]:
@@ -332,8 +335,8 @@ def _with_intervals(
     """Each column freed of its bias, with the ends of its interval."""
     if j.deviations is None or j.reference is None or j.factor is None:
         return found, found, found
-    draws, above = (j.f, j.reference, j.factor, j.deviations, j.C), (loop.above_hz, loop.C_above)
-    drawn = reader.read_drawn(*draws, *above, bounded=bounded, least=loop.largest_above)
+    lines, least = _lines(loop, j), loop.largest_above
+    drawn = reader.read_drawn(j.reference, j.factor, j.deviations, lines, bounded=bounded, least=least)
     reference, _ = _read(loop, j, j.reference[None], reader, bounded=bounded)
     if j.drowned:
         return found, np.full_like(found, -np.inf), np.full_like(found, np.inf)
@@ -345,7 +348,7 @@ def _with_intervals(
             usual[column] = usual[column] and drawn[:, column].std() <= limit.distance
     shift = np.where(usual, drawn - np.where(usual, reference, 0.0), 0.0)
     value = found - shift.mean(axis=0)
-    reach = np.hypot(REACH * shift.std(axis=0), _between(loop, j, reference[0], reader, bounded))
+    reach = np.hypot(TOL.half_width_std * shift.std(axis=0), _between(loop, j, reference[0], reader, bounded))
     # where draws jump, never come to the crossing or come as near to -1 as L itself, their own order tells
     k = round(0.025 * (len(drawn) - 1))
     low = np.where(usual, value - reach, np.minimum(ordered[k], found))
@@ -363,8 +366,8 @@ def _between(loop: Loop, j: _Judged, found: Array, reader: Reader, bounded: bool
     for first, change in enumerate(changes):
         kept = np.arange(j.f.size) % 2 == first
         kept[[0, -1]] = True
-        L, above = j.reference[None, kept], (loop.above_hz, loop.C_above)
-        coarse, _ = reader.read(j.f[kept], L, j.C[kept], *above, bounded=bounded, least=loop.largest_above)
+        lines = kernel.Lines(j.f[kept], j.C[kept], loop.above_hz, loop.C_above)
+        coarse, _ = reader.read(j.reference[None, kept], lines, bounded=bounded, least=loop.largest_above)
         both = np.isfinite(coarse[0]) & np.isfinite(found)
         np.subtract(coarse[0], found, out=change, where=both)
     return 0.5 * np.asarray(np.abs(changes).mean(axis=0))
@@ -409,5 +412,5 @@ def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Inte
     else:
         error = np.std(j.drawn_at(k).imag, axis=0)
         rise = np.abs((j.L[k + 1] - j.L[k]).imag / np.log(j.f[k + 1] / j.f[k]))
-    reach = np.exp(np.minimum(REACH * error / np.maximum(rise, 1e-12), 50.0))
+    reach = np.exp(np.minimum(TOL.half_width_std * error / np.maximum(rise, 1e-12), 50.0))
     return tuple(f.tolist()), tuple(zip((f / reach).tolist(), (f * reach).tolist(), strict=True))

@@ -20,10 +20,6 @@ from loopshape.core.units import Array, ComplexArray
 RECORDS, LONGEST = 6, 32_768
 #: a share of time below this leaves the loop as it is; fewer samples outside than this are counted by Gaussian noise
 RARE, COUNTED = 1e-6, 20
-#: an input so many times as large as its actuator's range has run away
-AWAY = 1e3
-#: records whose rms may differ by this factor are those of a loop that may run away
-WILD = 3.0
 #: tails of impulse responses below this share of their largest value are left out, and below so many times the rms of
 #: their later half
 TAIL, CLEAR = 1e-5, 5.0
@@ -111,7 +107,7 @@ def _last(response: Array) -> int:
 def simulate(control: Array, error: Array, loops: Loops, actuator: Actuator) -> tuple[Array, Array, bool]:
     """Input and error (n,) of the loop with its actuator from those of the linear one, and whether it ran away."""
     u, e, memory = control.copy(), error.copy(), loops.control.size
-    away = AWAY * max(actuator)
+    away = 1e3 * max(actuator)  # an input so many times as large as its actuator's range has run away
     for k in range(u.size):
         value = u[k]
         if -actuator.low <= value <= actuator.high:
@@ -139,7 +135,8 @@ def factors(records: Sequence[Record], loops: Loops, actuator: Actuator, scale: 
     mean = [_factor(one, 2.0 / np.sqrt(len(records))) for one in (*every[:2], np.array(shares))]
     single = [_factor(one, 2.0) for one in every[2:]]
     counted |= mean[2].value * sum(one.control.size for one in records) > COUNTED
-    away = mean[1].high > WILD * mean[1].low
+    wild = 3.0  # records whose rms may differ by this factor are those of a loop that may run away
+    away = mean[1].high > wild * mean[1].low
     return Factors(mean[0], mean[1], single[0], single[1], mean[2] if counted else None, away)
 
 

@@ -25,26 +25,18 @@ from loopshape.loop.margin.between import Path, chords_to_minus_one
 from loopshape.loop.stability.obstacles import ON_IT, Sampling, Undecided, doubt, sampling
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles
 from loopshape.loop.stability.stability import Stability
+from loopshape.loop.tolerances import TOL
 
 UNKNOWN_POLES = (
     "the number of unstable poles of the whole plant is not known: declare unstable_poles in the requirements'"
     " [several], or name the controllers of the recorded loops in the map"
 )
-#: phase and slope that the ratio of det(I + L) to that of the recorded loops may have at the first line
-HELD_DEG, HELD_SLOPE = 60.0, 0.5
 #: I + L is read between lines where L moves by so much of it and is no smaller than this, on so many places at most
 STEP, SMALL, MOST = 0.2, 0.05, 8
-#: draws of the plant's error that the deviation of det(I + L) is taken from
-DRAWN = 50
-#: the lowest lines, this ratio of frequencies and four at least, tell the slope there
-LOWEST = 1.6
 #: phase and slope of the lowest lines that may be left beside the integrators, and how much more for each further loop
 FIT_DEG, FIT_SLOPE, MORE = 75.0, 0.75, 0.3
-#: without a declaration the slope must be this near to a whole number of integrators, a loop
-READ_SLOPE = 0.25
 #: a locus below 1 at the first line must not fall faster than this, as a power of frequency, nor all such det(I + L)
 FLAT, FLAT_DEG = -0.3, 30.0
-_SAME = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
 
 
 def closed_loops_stability(loops: Loop) -> Stability:
@@ -123,7 +115,9 @@ def count_from_held(loops: Loop) -> int | Undecided:
     between = _sampling(loops, _as_one(loops, D, determinant_variance(loops, stood)), path)
     loci, before = characteristic_loci(loops.L_i), characteristic_loci(stood.L_i)
     f, swing = loops.frequency_hz, float(np.angle(D[0] * 1j**more))
-    if abs(deg(swing)) > HELD_DEG or abs(slopes(f, D[:, None])[0] + more) > HELD_SLOPE:
+    # phase and slope that the ratio of det(I + L) to that of the recorded loops may have at the first line
+    held_deg, held_slope = 60.0, 0.5
+    if abs(deg(swing)) > held_deg or abs(slopes(f, D[:, None])[0] + more) > held_slope:
         reason = f"det(I + L) does not agree with that of the recorded loops at the lowest frequency, {f[0]:.3g} Hz"
         return Undecided(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     found = _high_doubt(loops, loci) or _high_doubt(stood, before)
@@ -154,7 +148,7 @@ def followed_matrix(loops: Loop, draws: int | None = None) -> Dense:
 
 def _path(loops: Loop, stood: Loop | None = None) -> Path:
     """det(I + L) - 1 between lines, with `stood` over that of the same plant under other controllers."""
-    dense = followed_matrix(loops, DRAWN)
+    dense = followed_matrix(loops, TOL.deviation_draws)
     D, moved = _determinant(loops, dense)
     if stood is not None:
         before, moved_before = _determinant(stood, dense)
@@ -196,7 +190,8 @@ def _sampling(loops: Loop, as_one: Loop, path: Path) -> Sampling:
     for element, variance in zip(_elements(rest), _elements(loops.plant.variance), strict=True):
         if element.any():
             poles += hidden_poles(f, element, np.maximum(variance, 1e-20 * np.max(np.abs(element)) ** 2), freedom)
-    if not poles or np.abs(as_one.L).max() < _SAME:
+    same = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
+    if not poles or np.abs(as_one.L).max() < same:
         return nothing
     shown = sampling(as_one, path)
     gaps = np.clip(np.searchsorted(f, [pole.pole_hz.real for pole in poles]) - 1, 0, f.size - 2)
@@ -335,7 +330,8 @@ def read_integrators(loops: Loop) -> tuple[int | None, str]:
     low = low_end(loops.frequency_hz, characteristic_loci(loops.L_i))
     own = loops.controller_integrators()
     every = round(-low.slope)
-    if abs(every + low.slope) > READ_SLOPE * max(int(low.large.sum()), 1) or low.negative is None or every < own:
+    read_slope = 0.25  # without a declaration the slope must be this near to a whole number of integrators, a loop
+    if abs(every + low.slope) > read_slope * max(int(low.large.sum()), 1) or low.negative is None or every < own:
         return None, f"det(I + L) falls as with {-low.slope:.1f} integrators over its lowest frequencies, {own} of C's"
     word = "integrator" if every - own == 1 else "integrators"
     return every - own, f"plant taken to have {every - own} {word} in all, from the lowest frequencies of det(I + L)"
@@ -380,4 +376,5 @@ def _small_doubt(f: Array, loci: ComplexArray, low: LowEnd) -> Undecided | None:
 
 
 def _lowest(f: Array) -> int:
-    return min(max(4, int(np.searchsorted(f, LOWEST * f[0]))), f.size)
+    lowest = 1.6  # the lowest lines, this ratio of frequencies and four at least, tell the slope there
+    return min(max(4, int(np.searchsorted(f, lowest * f[0]))), f.size)

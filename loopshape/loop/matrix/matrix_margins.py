@@ -16,9 +16,9 @@ from loopshape.data.response.smoothed import Dense
 from loopshape.data.result.margins import Margins
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.loop.loop import Loop, responses, sensitivity
-from loopshape.loop.margin.margins import REACH
 from loopshape.loop.matrix.determinant import closed_loops_stability, followed_matrix
 from loopshape.loop.matrix.structured import mu_bounds, refined, upper_at
+from loopshape.loop.tolerances import TOL
 
 #: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
 #: search is needed for each (neighbours are smoothed together and say the same)
@@ -89,7 +89,8 @@ def matrix_margins(loops: Loop) -> Margins:
         shifts = {g: _shift(g, own, c, peaks[g]) for g, (own, c) in drawn.items()}
         rises = {g: _between_lines(g, f, own.reference, c, peaks[g]) for g, (own, c) in drawn.items()}
         values = {g: values[g] - shifts[g][0] for g in wanted}
-        reaches = {g: (REACH * shifts[g][1], rises[g] + np.hypot(REACH * shifts[g][1], rises[g])) for g in wanted}
+        half = {g: TOL.half_width_std * shifts[g][1] for g in wanted}
+        reaches = {g: (half[g], rises[g] + np.hypot(half[g], rises[g])) for g in wanted}
     bounds = {
         n: _field(n, values[g] - reaches.get(g, (0.0, 0.0))[0])
         for n, g in FIELDS.items()

@@ -16,8 +16,6 @@ from loopshape.core.units import Array, ComplexArray
 
 #: powers of the norms that lead to the largest singular value: the last one is within n^(1/2p) of it
 POWERS = (2.0, 8.0, 32.0, 128.0, 512.0)
-_NEWTON = 5  # steps at each power
-_ROUNDS = 60  # of the power iteration
 _FAR = 12.0  # logarithms of D stay within this of each other's mean
 _TINY = 1e-300
 
@@ -143,7 +141,7 @@ def _iterated(M: ComplexArray, b: ComplexArray, w: ComplexArray) -> tuple[Comple
     """Right and left vectors a, w (nf, n) after some rounds."""
     adjoint = M.conj().transpose(0, 2, 1)
     a = b
-    for _ in range(_ROUNDS):
+    for _ in range(60):  # of the power iteration
         a = _unit(np.einsum("fij,fj->fi", M, b))
         z = _sign(w.conj() * a) * w
         w = _unit(np.einsum("fij,fj->fi", adjoint, z))
@@ -174,8 +172,9 @@ def _minimised(M: ComplexArray, log_scales: Array) -> Array:
     x = np.array(log_scales)
     if not len(x):
         return x
+    newton = 5  # steps at each power
     for power in POWERS:
-        for _ in range(_NEWTON):
+        for _ in range(newton):
             x = _stepped(M, x, power)
     return _centred(x)
 

@@ -30,13 +30,10 @@ from loopshape.core.units import Array, ComplexArray, db, from_db
 from loopshape.data.algebra import regrid
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import Band
+from loopshape.loop.tolerances import TOL
 
-#: a band is this wide at least, in octaves, and holds this many independent lines
-BAND_OCTAVES, BAND_LINES = 0.5, 4.0
-#: a change counts as noticed where it is found this often
-POWER = 0.8
-#: degrees of freedom from which on a variance is known
-KNOWN = 1e6
+#: a band is this wide at least
+BAND_OCTAVES = 0.5
 #: p-values are truncated to this range before they are combined
 LEAST, MOST = 1e-300, 0.99
 #: a tolerance beyond this would let everything pass
@@ -64,7 +61,7 @@ class Lines(NamedTuple):
     def excess(self) -> Array:
         """x (nf,), exponential with mean 1 where nothing has changed."""
         q = np.abs(self.measured - self.predicted) ** 2 / self.variance
-        nu = np.minimum(self.freedom, KNOWN)
+        nu = np.minimum(self.freedom, TOL.freedom_known)
         return np.asarray(0.5 * nu * np.log1p(2.0 * q / nu))
 
 
@@ -108,7 +105,7 @@ def _clear_of_the_ends(frf: FRF, lowest_hz: float, highest_hz: float) -> np.ndar
     periods). As many lines as share a variance's estimate are left out there, a quarter of the band at most.
     """
     f, mask, rows = frf.frequency_hz, frf.valid.copy(), np.flatnonzero(frf.valid)
-    share = min(round(frf.variance_pooled), rows.size // 4) if frf.variance_freedom < KNOWN else 0
+    share = min(round(frf.variance_pooled), rows.size // 4) if frf.variance_freedom < TOL.freedom_known else 0
     if share and f[rows[0]] > lowest_hz * (1.0 + 1e-9):
         mask[rows[:share]] = False
     if share and f[rows[-1]] < highest_hz * (1.0 - 1e-9):
@@ -158,12 +155,12 @@ def paired(predicted: FRF, measured: FRF, missed: Array, tolerance_db: float = 0
     V1, V2 = turned * predicted.variance[:, 0, 0], measured.variance[:, 0, 0] / turned
     slack = (float(from_db(tolerance_db)) - 1.0) ** 2 * np.abs(S1) ** 2
     total = np.maximum(V1 + V2 + slack + missed, np.finfo(float).tiny)
-    n1, n2 = (min(frf.variance_freedom, 10.0 * KNOWN) for frf in (predicted, measured))
+    n1, n2 = (min(frf.variance_freedom, 10.0 * TOL.freedom_known) for frf in (predicted, measured))
     a1, a2 = float(np.mean(V1 / total)), float(np.mean(V2 / total))
     together = a1 * np.sqrt(predicted.line_overlap) + a2 * np.sqrt(measured.line_overlap) + max(1.0 - a1 - a2, 0.0)
     spread = together**2 + a1**2 * _shared_variance(predicted, n1) + a2**2 * _shared_variance(measured, n2)
     with np.errstate(divide="ignore", over="ignore"):
-        freedom = np.minimum(total**2 / np.maximum(V1**2 / n1 + V2**2 / n2, 1e-300), 10.0 * KNOWN)
+        freedom = np.minimum(total**2 / np.maximum(V1**2 / n1 + V2**2 / n2, 1e-300), 10.0 * TOL.freedom_known)
     return Lines(f, S1, S2, total, freedom, slack / total, float(spread), S1 if plants else S1 * (1.0 - S1))
 
 
@@ -179,7 +176,7 @@ def tail(x: Array, spread: float) -> float:
 
 def bands_of(lines: Lines) -> list[slice]:
     """Neighbouring lines in bands of half an octave at least, each with four independent lines at least."""
-    f, least = lines.frequency_hz, max(int(np.ceil(BAND_LINES * lines.spread)), 1)
+    f, least = lines.frequency_hz, max(int(np.ceil(TOL.band_lines * lines.spread)), 1)
     starts = [0]
     for k in range(1, f.size):
         if k - starts[-1] >= least and f[k] >= f[starts[-1]] * 2.0**BAND_OCTAVES and f.size - k >= least:
@@ -238,5 +235,5 @@ def _noticed(lines: Lines, rows: slice, level: float) -> float:
     """The square of the relative change of the gain that a sum over some lines notices."""
     moved, V = lines.moved[rows], lines.variance[rows]
     per = float(np.sum(np.abs(moved) ** 2 / V))
-    wanted = float(ndtri(POWER) - ndtri(level)) * np.sqrt(lines.spread * V.size) + float(lines.slack[rows].sum())
+    wanted = float(ndtri(TOL.power) - ndtri(level)) * np.sqrt(lines.spread * V.size) + float(lines.slack[rows].sum())
     return wanted / max(per, 1e-300)

@@ -19,8 +19,6 @@ from loopshape.data.signal.recording import Recording
 END, STAYS = 0.1, 0.2
 #: a recorded response is smoothed over this share of its rise; bands are wider than what moved over this share before
 SMOOTHED, BEFORE, ROOM = 0.1, 0.4, 1.5
-#: steps closer together than this many samples are no steps but a moving setpoint
-LEAST_SAMPLES = 50
 
 
 def indicators(time_s: Array, response: Array, *, floor: float = 0.0, final: float | None = None) -> Indicators:
@@ -94,7 +92,8 @@ def recorded_steps(recording: Recording, loop: LoopSetup) -> tuple[StepCompariso
     r, y = _setpoint(recording, loop), recording.output(loop.output)
     jumps = np.flatnonzero(np.diff(r)) + 1
     edges = np.concatenate([[0], jumps, [r.size]])
-    if not jumps.size or np.diff(edges).min() < LEAST_SAMPLES:
+    least_samples = 50  # steps closer together than this many samples are no steps but a moving setpoint
+    if not jumps.size or np.diff(edges).min() < least_samples:
         return ()
     return tuple(
         _recorded(recording, loop, y[start:end], int(at - start), int(at), float(r[at] - r[at - 1]))

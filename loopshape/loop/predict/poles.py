@@ -16,8 +16,6 @@ SIZES, ANGLES, TRIED = 400, 61, 2000
 #: points of the circle on which the poles within are counted, half of them
 AROUND = 20_000
 NEWTONS, CONVERGED = 60, 1e-11
-#: poles are looked for up to so many rad over the delay: beyond, a delay's chain of them goes on for ever
-OF_THE_DELAY = 40.0
 Function = Callable[[ComplexArray], tuple[ComplexArray, ComplexArray]]
 
 
@@ -30,7 +28,9 @@ def closed_loop_poles(model: TransferFunction, controller: Controller) -> Comple
     """
     F = _characteristic(model, controller)
     delay_s = model.delay_s + controller.computation_delay_s
-    largest = 0.999 * min(0.5 * TWO_PI * controller.rate_hz, OF_THE_DELAY / max(delay_s, 1e-300))
+    # poles are looked for up to so many rad over the delay: beyond, a delay's chain of them goes on for ever
+    of_the_delay = 40.0
+    largest = 0.999 * min(0.5 * TWO_PI * controller.rate_hz, of_the_delay / max(delay_s, 1e-300))
     around = np.unwrap(np.angle(F(largest * np.exp(0.5j * TWO_PI * np.linspace(0.0, 1.0, AROUND)))[0]))
     count = round(2.0 * float(around[-1] - around[0]) / TWO_PI)
     found: list[complex] = []

@@ -23,11 +23,7 @@ from loopshape.loop.matrix.determinant import closed_loops_stability
 from loopshape.loop.predict.agreement import noticed_db, on_common_lines, paired, tested
 from loopshape.loop.predict.step_response import DRAWS, predict_step, step_from_lines
 from loopshape.loop.stability.stability import Stability, closed_loop_stability
-
-#: without a change of the plant's gain of this size being noticed four times in five, nothing is said to have held
-NOTICED_DB = 1.0
-#: how far a fit's S may lie from the lines' before a step from it is doubted, in dB
-FIT_APART_DB = 1.0
+from loopshape.loop.tolerances import TOL
 
 
 def predict(
@@ -107,7 +103,8 @@ def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:
     apart = np.abs(db((1.0 + S.recorded_under.response(f) * fit.model.response(f)) * S.siso))
     std = db(1.0 + S.relative_std[:, 0, 0])
     k = int(np.argmax(np.maximum(apart - 2.0 * std, 0.0)))
-    if apart[k] - 2.0 * std[k] < FIT_APART_DB:
+    fit_apart_db = 1.0  # how far a fit's S may lie from the lines' before a step from it is doubted, in dB
+    if apart[k] - 2.0 * std[k] < fit_apart_db:
         return step
     note = f"the fit's |S| lies up to {apart[k]:.2g} dB from that of the measured FRF, at {f[k]:.3g} Hz"
     return replace(step, notes=(*step.notes, f"{note}: the step rests on the fit"))
@@ -183,7 +180,7 @@ def _tested(
     lines = paired(one, two, missed, tolerance_db, plants)
     p_value, bands = tested(lines)
     noticed = noticed_db(lines, level)
-    sharp = noticed <= max(NOTICED_DB, 2.0 * tolerance_db)
+    sharp = noticed <= max(TOL.noticed_db, 2.0 * tolerance_db)
     passed = Agreement.CONFIRMED if sharp else Agreement.CANNOT_TELL
     outcome = Agreement.REFUTED if p_value < level else passed
     return replace(

@@ -9,9 +9,11 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
-from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
+from loopshape.identify import tolerances as estimates
+from loopshape.identify.spectra.averages import pooled_variance
 from loopshape.loop.loop import Loop
 from loopshape.loop.stability.sampling import visible_residue
+from loopshape.loop.tolerances import TOL
 
 #: fewer lines than this say nothing of what lies between them
 FEWEST = 6
@@ -23,8 +25,6 @@ TURN = 0.25
 FAR = 0.1
 #: a gap so many times as wide as the median of this many on either side is a hole, in Hz and in ratio
 WIDER, BESIDE = 3.0, 5
-#: lines about which the median of five relative deviations is above this are too uncertain to be used
-POOR = 0.15
 #: where lines are missing, or too uncertain, a resonance with so much damping must not be able to encircle -1 unseen
 LEAST_DAMPING, POOR_DAMPING = 0.002, 0.005
 
@@ -59,14 +59,15 @@ def _gaps(lines: FRF, beyond: FRF | None, unstable: bool) -> tuple[Gap, ...]:
     if f.size < FEWEST:
         return ()
     missing = _missing(f)
-    poor = median_of_five(np.sqrt(v) / np.maximum(np.abs(P), 1e-300)) > POOR
+    poor = median_of_five(np.sqrt(v) / np.maximum(np.abs(P), 1e-300)) > TOL.poor_std
     known = np.flatnonzero(~poor)
     little = missing | poor[1:] | poor[:-1]
     little[known[-1] if known.size else 0 :] = False  # above the last line that is known |L| is taken to fall
     gaps = np.flatnonzero(little)
     if not gaps.size:
         return ()
-    residue = visible_residue(f, P, v, max(lines.variance_freedom, FREEDOM), unstable=unstable).copy()
+    freedom = max(lines.variance_freedom, estimates.TOL.decided_freedom)
+    residue = visible_residue(f, P, v, freedom, unstable=unstable).copy()
     residue[[0, -1]] = residue[[1, -2]]  # at the ends no pole is looked for
     return tuple(
         Gap(float(f[k]), float(f[k + 1]), complex(P[k]), complex(P[k + 1]), float(residue[k]), bool(missing[k]))

@@ -17,15 +17,10 @@ from loopshape.core.units import Array, ComplexArray, deg
 from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.averages import pooled_variance
 from loopshape.loop.loop import Loop
+from loopshape.loop.tolerances import TOL
 
 #: models may carry the loop this far below its first line, as a ratio of frequencies
 EXTRAPOLATED_BELOW = 1.3
-#: slope and phase of the lowest lines that agree this well, in integrators, leave nothing to be seen below them
-AGREE = 0.3
-#: noise widens that to this at most
-MOST_ROOM = 0.75
-#: so many parameters at most has a model that tells where unstable poles lie, or a crossover below the lines
-SIMPLE = 4
 #: below this |L| is far from 1, whichever model says so
 SMALL = 0.1
 #: where L is read below its first line, as shares of its frequency: the first stands for 0 Hz
@@ -44,7 +39,7 @@ def in_sight(loop: Loop) -> bool:
     one of them simple unless L falls to 0 Hz and stays `SMALL`, must have it reach 1 at most a third of an octave
     lower, or stay below 1 down to 0 Hz in a loop without integrators.
     """
-    if abs(loop.L[0]) >= 1.0 and slope_of(loop) > -AGREE:
+    if abs(loop.L[0]) >= 1.0 and slope_of(loop) > -TOL.integrators_agree:
         return True
     below = [np.abs(L) for L in below_lines(loop, low_hz(loop))]
     largest = max((x.max() for x in below), default=np.inf)
@@ -78,7 +73,7 @@ def low_hz(loop: Loop) -> Array:
 
 def is_large(loop: Loop) -> bool:
     """Whether L starts so large, and does not fall towards 0 Hz, that nothing below its first line comes near -1."""
-    return abs(loop.L[0]) >= LARGE and poles_at_0(loop) >= 0 and slope_of(loop) > -AGREE
+    return abs(loop.L[0]) >= LARGE and poles_at_0(loop) >= 0 and slope_of(loop) > -TOL.integrators_agree
 
 
 @lru_cache(maxsize=256)
@@ -109,7 +104,7 @@ def is_told(loop: Loop) -> bool:
         loop.unstable_poles == 0
         and poles_at_0(loop) >= 0
         and abs(phase - slope) < room_of(lines)
-        and slope_of(loop) > -AGREE
+        and slope_of(loop) > -TOL.integrators_agree
     )
 
 
@@ -127,7 +122,9 @@ def holds_below(loop: Loop, poles: int) -> bool:
 
 def is_simple(model: LowModel) -> bool:
     """Whether a model has few enough parameters to tell where unstable poles lie."""
-    return model.num.size + model.den.size - 1 <= SIMPLE
+    # so many parameters at most has a model that tells where unstable poles lie, or a crossover below the lines
+    simple = 4
+    return model.num.size + model.den.size - 1 <= simple
 
 
 def low_order(lines: FRF) -> tuple[float, float]:
@@ -149,10 +146,10 @@ def room_of(lines: FRF) -> float:
     count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
     x = np.log(f[:count])
     if x.size < 4:
-        return AGREE
+        return TOL.integrators_agree
     relative = np.sqrt(lines.variance[:count, 0, 0]) / np.maximum(np.abs(lines.siso[:count]), 1e-300)
     std = np.median(relative) / (2.0 * x.std())  # neighbours are smoothed together: four of them are independent
-    return float(min(AGREE + 2.0 * std, MOST_ROOM))
+    return float(min(TOL.integrators_agree + 2.0 * std, TOL.integrators_agree_most))
 
 
 def crossover_below(loop: Loop) -> tuple[float, float]:
@@ -163,19 +160,10 @@ def crossover_below(loop: Loop) -> tuple[float, float]:
 
 #: models follow the lines up to so many times the first, but this many at least and at most
 _FARTHEST, _FEWEST, _MOST = 4.0, 8, 60
-#: orders of B and A, in the order of their number of parameters; models with this many more than the least are kept
-_ORDERS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 1), (1, 2), (2, 2), (3, 2))
-_MORE = 2
-#: lines err by this share of |P| at least: what so small a model rounds off
-_FLOOR = 3e-4
 #: lines that are known worse than this say nothing of what lies below them, and so do models known worse at s = 0
 _KNOWN = 0.3
 #: B(0) is at most so many times what the first line shows, and no less than its inverse: else k is another number
 _AWAY = 5.0
-#: rounds of Sanathanan and Koerner's weighting
-_ROUNDS = 6
-#: A may come this near 0 below the first line, as a share of its smaller end: no unseen resonance
-_SHARP = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +211,8 @@ def _low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
 @lru_cache(maxsize=512)
 def _remembered(f: bytes, P: bytes, variance: bytes, integrators: int) -> tuple[LowModel, ...]:
     own, y = np.frombuffer(f), np.frombuffer(P, dtype=complex)
-    std = np.sqrt(np.frombuffer(variance) + (_FLOOR * np.abs(y)) ** 2 + 1e-300)
+    floor = 3e-4  # lines err by this share of |P| at least: what so small a model rounds off
+    std = np.sqrt(np.frombuffer(variance) + (floor * np.abs(y)) ** 2 + 1e-300)
     if own.size < _FEWEST or np.median(std / np.abs(y)) > _KNOWN:
         return ()
     s = 1j * own / own[0]
@@ -236,9 +225,12 @@ def _models(
 ) -> tuple[LowModel, ...]:
     found: list[tuple[float, LowModel]] = []
     least = np.inf
-    for nb, na in _ORDERS:
+    more = 2  # parameters that models may have beyond the least and are still kept
+    # orders of B and A, in the order of their number of parameters
+    orders = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2), (2, 1), (1, 2), (2, 2), (3, 2))
+    for nb, na in orders:
         parameters = nb + 1 + na
-        if parameters > least + _MORE or 2 * s.size < 2 * parameters + 4:
+        if parameters > least + more or 2 * s.size < 2 * parameters + 4:
             continue
         if (fitted := _fitted(s, y, std, nb, na)) is None:
             continue
@@ -269,7 +261,8 @@ def _is_known(solved: Array, num: Array, den: Array) -> bool:
     """Whether B(0) is known, and A has no sharp resonance below the first line."""
     known = np.sqrt(0.5 * np.sum(solved[0] ** 2)) < _KNOWN * abs(num[0])
     size = np.abs(_polynomial(np.asarray(1j * np.linspace(0.0, 1.0, 65)), den))
-    return bool(known and size.min() > _SHARP * min(size[0], size[-1]))
+    sharp = 0.3  # A may come this near 0 below the first line, as a share of its smaller end: no unseen resonance
+    return bool(known and size.min() > sharp * min(size[0], size[-1]))
 
 
 def _fitted(s: ComplexArray, y: ComplexArray, std: Array, nb: int, na: int) -> tuple[Array, Array] | None:
@@ -279,7 +272,8 @@ def _fitted(s: ComplexArray, y: ComplexArray, std: Array, nb: int, na: int) -> t
     """
     den = np.eye(1, na + 1)[0]
     powers = s[:, None] ** np.arange(max(nb, na) + 1)
-    for _ in range(_ROUNDS if na else 1):
+    rounds = 6  # rounds of Sanathanan and Koerner's weighting
+    for _ in range(rounds if na else 1):
         with np.errstate(divide="ignore", over="ignore"):
             weight = 1.0 / (std * np.abs(_polynomial(s, den)))
         if not np.isfinite(weight).all():

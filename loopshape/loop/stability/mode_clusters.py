@@ -18,36 +18,23 @@ import numpy as np
 from scipy.special import fdtrc, fdtri
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.loop.stability.windows import HALF, ORDER, Windows, window_over
+from loopshape.loop.stability.windows import Windows, window_over
+from loopshape.loop.tolerances import TOL
 
 #: less damping than this no resonance is taken to have, as half width over frequency
 SHARPEST = 1e-4
 #: lines beside a stretch on either side; most poles in one; complex degrees of freedom that a fit must leave
-BESIDE, MOST, SPARE = HALF + 2, 6, 4
-#: lines are taken to err by this share of |P| at least: what the polynomial rounds off
-FLOOR = 1e-5
+BESIDE, MOST, SPARE = TOL.window_lines + 2, 6, 4
 #: highest order of the polynomial over many lines; poles wider than so many gaps are resolved by the lines
 STEEPEST, RESOLVED = 6, 2.0
 #: a delay is taken out where a polynomial's squared misfit falls by so many times
 DELAYED = 10.0
-#: lines that a polynomial must leave to tell scatter from resonances
-TELLS = 12
-#: chance that noise leaves more than it should
-FALSE_ALARM = 1e-3
 #: half widths in gaps, and places in a gap, where the next pole is looked for; steps of all together
 _WIDTHS, _PLACES, _STEPS = (0.03, 0.1, 0.3, 1.0, 3.0), np.linspace(0.05, 0.95, 10), 40
-#: lines scatter by so many times their variance at most
-SCATTERED = 50.0
-#: where noise alone is left one more pole must explain so much of it, in logarithms of its chance
-ONE_MORE = 4.6
-#: independent tests that looking for a pole in a gap makes
-_TESTS = 3.0
 #: two sharp poles within so many gaps of each other may be three
 SAME = 0.5
-#: starts that are followed for each further pole
-_STARTS = 3
-#: poles moved alone are allowed within so many standard deviations; ways of residues and polynomial for each
-RADIUS_STD, OF_REST = 3.0, 3
+#: ways of residues and polynomial for each pole that is moved alone
+OF_REST = 3
 #: seed of the draws of what residues and polynomial may be
 SEED = 20074
 #: what a fit rounds off, as a share of residue and half width
@@ -117,8 +104,8 @@ def cluster_bands(f: Array, residual: np.ndarray) -> Iterator[ClusterBand]:
             first, last = int(run[0]), int(run[-1]) + 1
             low, high = np.searchsorted(f, [0.5 * f[first], 2.0 * f[last]])
             low, high = max(first - BESIDE + 1, int(low)), min(last + BESIDE - 1, int(high), residual.size)
-            low = max(min(low, high + 1 - 2 * HALF), 0)
-            yield ClusterBand(first, last, low, min(max(high, low - 1 + 2 * HALF), residual.size))
+            low = max(min(low, high + 1 - 2 * TOL.window_lines), 0)
+            yield ClusterBand(first, last, low, min(max(high, low - 1 + 2 * TOL.window_lines), residual.size))
 
 
 def interpolation_residual(f: Array, P: ComplexArray, variance: Array, stretch: ClusterBand) -> float:
@@ -133,12 +120,13 @@ def interpolation_residual(f: Array, P: ComplexArray, variance: Array, stretch: 
 
 def _window(f: Array, P: ComplexArray, variance: Array, stretch: ClusterBand) -> tuple[Windows, float]:
     """The lines of a stretch, and the delay in s taken out of them where that alone explains most of them."""
-    order = int(np.clip(ORDER + (stretch.high - stretch.low - 12) // 4, ORDER, STEEPEST))
+    order = int(np.clip(TOL.window_order + (stretch.high - stretch.low - 12) // 4, TOL.window_order, STEEPEST))
     rows = slice(stretch.low, stretch.high + 1)
     turn = np.angle(P[rows][1:] * P[rows][:-1].conj()) / np.diff(f[rows])
     delays = 0.0, float(-np.median(turn)) / TWO_PI
+    floor = 1e-5  # lines are taken to err by this share of |P| at least: what the polynomial rounds off
     found = [
-        (window_over(f, P * np.exp(1j * TWO_PI * delay * (f - f[stretch.low])), variance + (FLOOR * np.abs(P)) ** 2,
+        (window_over(f, P * np.exp(1j * TWO_PI * delay * (f - f[stretch.low])), variance + (floor * np.abs(P)) ** 2,
                      stretch.low, stretch.high, order), delay)
         for delay in delays
     ]  # fmt: skip
@@ -189,7 +177,7 @@ class _Fit:
         self.left = window.rest(window.data[:, :, None])[0, :, 0]
         self.f = window.around[0]
         self.gaps = np.diff(self.f)
-        self.looks = float(np.log(_TESTS * self.gaps.size))
+        self.looks = float(np.log(TOL.tests_per_gap * self.gaps.size))
 
     def _columns(self, z: ComplexArray, power: int = 1) -> ComplexArray:
         return self.window.pole(z[None, :], power)[0]
@@ -217,12 +205,12 @@ class _Fit:
         while z.size < MOST and slack >= (SPARE + 2 if z.size else 3):
             one_more = self.with_one_more(z)
             misfit = self.misfit(one_more)
-            if quiet and before - misfit < ONE_MORE + self.looks:
+            if quiet and before - misfit < TOL.one_more_pole + self.looks:
                 break
             z, slack, before = one_more, slack - 2, misfit
-            quiet = misfit < slack * float(fdtri(2 * slack, freedom, 1.0 - FALSE_ALARM))
+            quiet = misfit < slack * float(fdtri(2 * slack, freedom, 1.0 - TOL.pole_by_chance))
             least = min(least, self._chance(none / misfit, z.size, slack))
-        if first >= TELLS and none < SCATTERED * first and least > np.log(FALSE_ALARM):
+        if first >= TOL.scatter_freedom and none < TOL.scatter_variances * first and least > np.log(TOL.pole_by_chance):
             return z[:0], Residual.SCATTER
         return z, Residual.NOISE if quiet else Residual.MORE
 
@@ -239,7 +227,8 @@ class _Fit:
         drop = np.abs(column.conj().T @ self.left) ** 2 / np.maximum(np.sum(np.abs(column) ** 2, axis=0), 1e-300)
         drop = drop.reshape(every.shape)
         best = every[range(len(every)), np.argmax(drop, axis=1)]  # of each width
-        found = [self._improved(np.append(z, best[k])) for k in np.argsort(-drop.max(axis=1))[:_STARTS]]
+        starts = 3  # starts that are followed for each further pole
+        found = [self._improved(np.append(z, best[k])) for k in np.argsort(-drop.max(axis=1))[:starts]]
         return min(found, key=self.misfit)
 
     def _everywhere(self) -> ComplexArray:
@@ -287,7 +276,7 @@ class _Fit:
         rest = _off(Q, self.left)
         column = _off(bent, self._columns(centre.ravel() + 0.01j * np.repeat(self.gaps, _PLACES.size)))
         size = np.maximum(np.sum(np.abs(column) ** 2, axis=0), 1e-300)
-        bound = np.abs(column.conj().T @ rest) / size + RADIUS_STD * np.sqrt(0.5 * noise / size)
+        bound = np.abs(column.conj().T @ rest) / size + TOL.pole_radius_std * np.sqrt(0.5 * noise / size)
         scale = np.abs(self.window.reference(centre.reshape(1, -1)))[0]
         bound = (bound * scale).reshape(-1, _PLACES.size).max(axis=1)
         return np.where((self.f[1:] > self.low) & (self.f[:-1] < self.high), bound, 0.0)
@@ -309,7 +298,7 @@ class _Fit:
         The likeliest, each pole moved alone, and what the fit rounds off.
         """
         moved = self.possible(np.array([z, *self._one_moved(z)]))
-        most = noise * (RADIUS_STD**2 + 2.0 * z.size)
+        most = noise * (TOL.pole_radius_std**2 + 2.0 * z.size)
         near = moved[self._misfits(moved) <= self.misfit(z) * (1.0 + 1e-9) + most]
         best, *drawn = self._coefficients(near, noise)
         off = UNEXACT * np.exp(0.25j * TWO_PI * np.arange(4))[:, None]

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import ndtr
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.identify.spectra.averages import FREEDOM, pooled_variance
+from loopshape.identify import tolerances as estimates
+from loopshape.identify.spectra.averages import pooled_variance
 from loopshape.loop.loop import HIGHEST, Loop
 from loopshape.loop.margin.between import (
     Path,
@@ -30,19 +31,10 @@ from loopshape.loop.stability.mode_clusters import (
     interpolation_residual,
 )
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
+from loopshape.loop.tolerances import TOL
 
-#: a count is not given where the chance that the lines' errors make it wrong is above this
-WRONG = 0.005
-#: radius of 95 % of a circular error, in sqrt E|d|²
-RADIUS_95 = float(np.sqrt(-np.log(0.05)))
 #: a band to measure goes on beyond the lines in question by this factor
 WIDER = 1.05
-#: the peak of one 0.03 gaps wide is no more than so many times how far lines leave a polynomial
-PEAK = 33.0
-#: lines that scatter all along lie within so many of their deviations (sqrt E|d|²); one in 400 passes a point so far
-SCATTER = 2.0
-#: a place between lines that is known so many times worse than they are is a matter of finer lines
-UNCERTAIN_RATIO = 1.5
 #: nearer to -1 than this a chord says nothing
 ON_IT = 1e-3
 
@@ -129,7 +121,7 @@ def _scatters(loop: Loop, path: Path, clusters: Sequence[ModeCluster]) -> Undeci
         scatter[cluster.first : cluster.last] = True
     if not scatter.any():
         return None
-    gaps = np.flatnonzero(SCATTER * _larger(np.abs(loop.C)) * np.where(scatter, residual, 0.0) > _nearest(path))
+    gaps = np.flatnonzero(TOL.scatter_std * _larger(np.abs(loop.C)) * np.where(scatter, residual, 0.0) > _nearest(path))
     return _unexplained(float(f[gaps[0]]), float(f[gaps[-1] + 1])) if gaps.size else None
 
 
@@ -156,7 +148,7 @@ def may_be_oscillatory(loop: Loop) -> bool:
 def _spread(loop: Loop) -> tuple[Array, float]:
     """Variance (nf,) of the measured lines and its degrees of freedom, pooled where few are known."""
     lines = measured(loop)
-    return pooled_variance(lines), max(lines.variance_freedom, FREEDOM)
+    return pooled_variance(lines), max(lines.variance_freedom, estimates.TOL.decided_freedom)
 
 
 def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
@@ -171,7 +163,7 @@ def _clusters(loop: Loop, path: Path) -> list[ModeCluster]:
     if not found:
         return []
     f, near = loop.frequency_hz, _nearest(path)
-    radius = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), PEAK)
+    radius = _larger(np.abs(loop.C)) * np.minimum(np.diff(f) / (SHARPEST * f[:-1]), TOL.unseen_peak)
     return [
         cluster_in(loop, band)
         for band in found
@@ -312,17 +304,17 @@ def doubt(
     if before is not None:
         radius[0] = min(radius[0], float(radius_of(np.array([before]), std[:1], freedom)[0]))
     k = int(np.argmin(radius))
-    if radius[k] < RADIUS_95:
+    if radius[k] < TOL.radius_95:
         low, high = _lines_beside(path, float(path.f[k]))
-        if not path.line[k] and std[k] > UNCERTAIN_RATIO * float(std[np.searchsorted(path.f, [low, high])].max()):
+        if not path.line[k] and std[k] > TOL.uncertain_ratio * float(std[np.searchsorted(path.f, [low, high])].max()):
             reason = (
                 f"{curve} bends too much between {low:.4g} and {high:.4g} Hz to tell on which side it passes {point}"
             )
             return Undecided(f"{reason}: measure finer there", (low, high), True)
         reason = f"{point} lies within the uncertainty of {curve} at {path.f[k]:.3g} Hz: measure longer or excite more"
-        return Undecided(reason, _around(path.f, np.flatnonzero(radius < RADIUS_95)))
+        return Undecided(reason, _around(path.f, np.flatnonzero(radius < TOL.radius_95)))
     chance, share = chance_of_error(radius, path.alike)
-    if chance <= WRONG:
+    if chance <= TOL.wrong_count:
         return None
     reason = (
         f"errors of {curve} may carry it over {point} (chance {100.0 * chance:.1g} %): measure longer or excite more"

@@ -14,27 +14,17 @@ import numpy as np
 from scipy.special import fdtri
 
 from loopshape.core.units import Array, ComplexArray
-from loopshape.identify.smooth.pole_terms import CAREFUL, ROUNDED
+from loopshape.identify import tolerances as estimates
 from loopshape.loop.stability.mode_clusters import SHARPEST, UNEXACT
-from loopshape.loop.stability.windows import HALF, LEFT, Windows, windows_of
+from loopshape.loop.stability.windows import Windows, windows_of
+from loopshape.loop.tolerances import TOL
 
-#: chance of a pole where there is none, over all gaps of a record
-FALSE_ALARM = 1e-3
 #: wider than this a pole is resolved by the lines, in gaps
 RESOLVED = 2.0
-#: how far from the best fit a pole is still allowed, in standard deviations
-RADIUS_STD = 3.0
-#: a residue this many deviations (sqrt E|d|²) above the threshold is found in 99.9 % of cases
-SURE = 2.2
-#: lines from f to so many times f and more are no neighbours whom one polynomial should follow
-WIDEST = 4.0
 #: what is left of lines counts where it is more than this share of |P|
 ROUGH = 0.005
-#: lines scatter all along where this share of the windows within so many gaps that share no line with a rough one leave
-#: more than noise, and in deviations this share of what the rough one leaves at least
-MOSTLY, SCATTER_GAPS, COMPARABLE = 0.75, 60, 0.1
-#: where a pole is looked for first: places in the gap and half widths, in gaps; they make so many independent tests
-_PLACES, _WIDTHS, _TESTS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0), 3.0
+#: where a pole is looked for first: places in the gap and half widths, in gaps
+_PLACES, _WIDTHS = (0.03, 0.12, 0.3, 0.5, 0.7, 0.88, 0.97), (0.03, 0.3, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,18 +95,19 @@ def _remembered(
 ) -> tuple[tuple[HiddenPole, ...], Array, Array, np.ndarray]:
     """All answers for a plant, which is asked about under many controllers."""
     lines = np.frombuffer(f)
-    if lines.size < 2 * HALF:
+    if lines.size < 2 * TOL.window_lines:
         none = np.zeros(max(lines.size - 1, 0))
         return (), np.full(none.size, np.inf), none, none > 0.0
     windows = windows_of(lines, np.frombuffer(P, dtype=complex), np.frombuffer(variance))
-    share = FALSE_ALARM / (_TESTS * windows.gap.size)
+    share = TOL.pole_by_chance / (TOL.tests_per_gap * windows.gap.size)
     freedom = min(freedom, 1e9)
     threshold = float(fdtri(2, freedom, 1.0 - share))
     significance, visible, misfit = _screen(windows)
     found = [_pole(windows[int(k)], threshold, unstable) for k in np.flatnonzero(significance > threshold)]
     poles = _apart([pole for pole in found if pole is not None])
-    residual = _unexplained(windows, poles, misfit, LEFT * float(fdtri(2 * LEFT, freedom, 1.0 - share)))
-    visible = (np.sqrt(threshold) + SURE) * visible
+    free = TOL.window_freedom
+    residual = _unexplained(windows, poles, misfit, free * float(fdtri(2 * free, freedom, 1.0 - share)))
+    visible = (np.sqrt(threshold) + TOL.found_std) * visible
     visible[[0, -1]] = np.inf
     scatter = _scattered(windows, misfit, residual)
     for made in (visible, residual, scatter):
@@ -137,7 +128,7 @@ def _screen(windows: Windows) -> tuple[Array, Array, Array]:
         drop = np.maximum(drop, drops.max(axis=1))
         deviation = np.sqrt(variance[:, len(_PLACES) // 2]) if width == _WIDTHS[0] else deviation
     misfit = (np.abs(left[:, :, 0]) ** 2).sum(1) - drop
-    noise = np.maximum(misfit / LEFT, 1.0)
+    noise = np.maximum(misfit / TOL.window_freedom, 1.0)
     drop[[0, -1]] = 0.0  # beyond one line alone, which an error of its own explains as well
     scale = np.abs(windows.reference(windows.low + 0.5 * windows.gap))
     return drop / noise, deviation * scale * np.sqrt(noise), misfit
@@ -147,32 +138,34 @@ def _unexplained(windows: Windows, poles: tuple[HiddenPole, ...], misfit: Array,
     """Root mean square (n,) of what one pole leaves of windows whose `misfit` (n,) is above a limit, else 0."""
     residual = np.zeros(misfit.size)
     known = np.array([x.pole_hz for x in poles], dtype=complex)
-    narrow = windows.around[:, -1] < WIDEST * windows.around[:, 0]
-    for k in np.flatnonzero(narrow & (misfit > limit) & (np.sqrt(misfit / LEFT) * windows.std > ROUGH * windows.size)):
+    widest = 4.0  # lines from f to so many times f and more are no neighbours whom one polynomial should follow
+    narrow, free = windows.around[:, -1] < widest * windows.around[:, 0], TOL.window_freedom
+    for k in np.flatnonzero(narrow & (misfit > limit) & (np.sqrt(misfit / free) * windows.std > ROUGH * windows.size)):
         window = windows[int(k)]
         left = window.rest(window.data[:, :, None])
         before = float((np.abs(left) ** 2).sum())
-        enough = max(limit, LEFT * float((ROUGH * window.size[0] / window.std[0]) ** 2))
+        enough = max(limit, free * float((ROUGH * window.size[0] / window.std[0]) ** 2))
         tried = known[(known.real > window.around[0, 0]) & (known.real < window.around[0, -1])]
         if tried.size and before - _explained(window, left, tried[None, :])[0].max() < enough:
             continue
-        z = _improved(window, left, _start(window, left, beside=HALF - 0.5))
+        z = _improved(window, left, _start(window, left, beside=TOL.window_lines - 0.5))
         rest = before - _explained(window, left, np.array([[z]]))[0][0, 0]
         if rest > enough or abs(z.imag) < RESOLVED * window.gap[0]:
-            residual[k] = np.sqrt(max(rest, limit) / LEFT) * window.std[0]
+            residual[k] = np.sqrt(max(rest, limit) / free) * window.std[0]
     return residual
 
 
 def _scattered(windows: Windows, misfit: Array, residual: Array) -> np.ndarray:
     """At which rough gaps (n,) most windows about, of other lines, leave much too, by their `misfit` (n,)."""
     scatter = residual > 0.0
-    off = np.arange(2 * HALF, SCATTER_GAPS)
+    off = np.arange(2 * TOL.window_lines, TOL.scatter_gaps)
     gaps = np.flatnonzero(scatter)[:, None] + np.concatenate([-off[::-1], off])  # of a million lines few are rough
     about = (gaps >= 0) & (gaps < residual.size)
-    least = np.maximum((COMPARABLE * residual[scatter] / windows.std[scatter]) ** 2, ROUNDED) * LEFT
+    apart = TOL.scatter_comparable * residual[scatter] / windows.std[scatter]
+    least = np.maximum(apart**2, estimates.TOL.noise_misfit) * TOL.window_freedom
     left = misfit[np.clip(gaps, 0, residual.size - 1)]
     count, alike = about.sum(axis=1), (about & (left > least[:, None])).sum(axis=1)
-    scatter[scatter] = (count > SCATTER_GAPS // 2) & (alike > MOSTLY * count)
+    scatter[scatter] = (count > TOL.scatter_gaps // 2) & (alike > TOL.scatter_share * count)
     return np.asarray(scatter)
 
 
@@ -182,8 +175,9 @@ def _noise(misfit: Array) -> Array:
     Much more than noise leaves is what the polynomial rounds off. It looks like a pole more often than noise does, and
     counts for more.
     """
-    left = misfit / LEFT
-    return np.maximum(np.where(left > ROUNDED, CAREFUL * left, left), 1.0)
+    left = misfit / TOL.window_freedom
+    rounded = estimates.TOL.rounding_counts * left
+    return np.maximum(np.where(left > estimates.TOL.noise_misfit, rounded, left), 1.0)
 
 
 def _explained(windows: Windows, left: ComplexArray, z: ComplexArray) -> tuple[Array, ComplexArray, Array]:
@@ -203,12 +197,12 @@ def _pole(window: Windows, threshold: float, unstable: bool) -> HiddenPole | Non
     if drop[0, 0] < threshold * noise or not -0.2 * gap < z.real - window.low[0] < 1.2 * gap:
         return None
     slope = np.abs(r[0, 0]) * np.sqrt((np.abs(_bent(window, z)) ** 2).sum())
-    spread = RADIUS_STD * float(np.sqrt(noise) / slope)
+    spread = TOL.pole_radius_std * float(np.sqrt(noise) / slope)
     if abs(z.imag) - spread > RESOLVED * gap:
         return None
     spread = min(spread, float(window.around[0, -1] - window.around[0, 0]))
     residue = complex(r[0, 0] * np.exp(window.power[0] * np.log(z / window.middle[0])))
-    error = UNEXACT + RADIUS_STD * float(np.sqrt(0.5 * noise * variance[0, 0]) / np.abs(r[0, 0]))
+    error = UNEXACT + TOL.pole_radius_std * float(np.sqrt(0.5 * noise * variance[0, 0]) / np.abs(r[0, 0]))
     narrowest = max((1.0 - UNEXACT) * abs(z.imag) - spread, SHARPEST * z.real)
     return HiddenPole(
         low_hz=float(min(window.low[0], z.real - spread)),

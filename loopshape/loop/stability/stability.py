@@ -23,7 +23,6 @@ from loopshape.identify.smooth.resonances import Phase, resonances
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import Path, between_lines, measured, path_of
 from loopshape.loop.stability.low_end import (
-    AGREE,
     BELOW_RATIOS,
     below_lines,
     crossover_below,
@@ -35,8 +34,9 @@ from loopshape.loop.stability.low_end import (
     low_models,
     low_order,
     poles_at_0,
-)  # fmt: skip
-from loopshape.loop.stability.obstacles import RADIUS_95, Sampling, Undecided, obstacles, sampling, unseen_resonance
+)
+from loopshape.loop.stability.obstacles import Sampling, Undecided, obstacles, sampling, unseen_resonance
+from loopshape.loop.tolerances import TOL
 
 UNKNOWN_POLES = (
     "the number of unstable poles of the plant is not known: declare unstable_poles in the requirements' [[loop]], name"
@@ -215,7 +215,7 @@ def swing_near(loop: Loop) -> float:
     C = loop.controller.response(np.append(low_hz(loop), loop.frequency_hz[0]))
     turn = np.unwrap(np.angle(C))
     phase, slope = low_order(measured(loop))
-    agree = abs(phase - slope) < AGREE
+    agree = abs(phase - slope) < TOL.integrators_agree
     more = max(round(slope - (loop.integrators or 0)), 0) if agree and not loop.unstable_poles else 0
     return float(turn[-1] - turn[0] - 0.5 * np.pi * more)
 
@@ -230,7 +230,7 @@ def _doubt_below(loop: Loop) -> Undecided | None:
     for model in low_models(loop):
         moved = C * model.deviations(f, errors)
         far = np.abs(1.0 + C * model.response(f)) / np.maximum(np.sqrt(np.mean(np.abs(moved) ** 2, axis=0)), 1e-300)
-        if far.min() < RADIUS_95:
+        if far.min() < TOL.radius_95:
             at, first = float(f[np.argmin(far)]), float(loop.frequency_hz[0])
             reason = f"-1 lies within the uncertainty of L at {at:.3g} Hz, below the first frequency, {first:.3g} Hz"
             return Undecided(f"{reason}: measure lower", (at, first))

@@ -11,11 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
+from loopshape.loop.tolerances import TOL
 
-#: lines on either side of a gap, and order of the polynomial that a smooth plant follows over them
-HALF, ORDER = 5, 3
-#: complex degrees of freedom that polynomial, residue and place of one pole leave
-LEFT = 2 * HALF - ORDER - 3
 #: less noise than this share of |P| the arithmetic itself does not have
 _FLOOR = 1e-7
 
@@ -60,7 +57,8 @@ class Windows:
 
 def windows_of(f: Array, P: ComplexArray, variance: Array) -> Windows:
     """Windows about each gap of lines f (nf,); near an end the gap is no longer their middle."""
-    rows = np.clip(np.arange(f.size - 1) - HALF + 1, 0, f.size - 2 * HALF)[:, None] + np.arange(2 * HALF)
+    half = TOL.window_lines
+    rows = np.clip(np.arange(f.size - 1) - half + 1, 0, f.size - 2 * half)[:, None] + np.arange(2 * half)
     return _of_rows(f, P, variance, rows, np.arange(f.size - 1))
 
 
@@ -70,7 +68,7 @@ def window_over(f: Array, P: ComplexArray, variance: Array, first: int, last: in
 
 
 def _of_rows(
-    f: Array, P: ComplexArray, variance: Array, rows: np.ndarray, gap: np.ndarray, order: int = ORDER
+    f: Array, P: ComplexArray, variance: Array, rows: np.ndarray, gap: np.ndarray, order: int = TOL.window_order
 ) -> Windows:
     std = np.sqrt(variance + (_FLOOR * np.abs(P)) ** 2)
     std = np.maximum(std, 1e-300)

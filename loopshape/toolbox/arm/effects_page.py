@@ -23,15 +23,11 @@ LOOKS = {
     "small": {"color": COLOURS[1], "linewidth": 0.8, "linestyle": (0, (3, 1.2))},
 }
 PATHS = ("u -> theta2", "u -> p")
-SMALLEST_DB, SMALLEST_DEG = 2.0, 12.0  # half heights below which a panel is not magnified further
-MOST_DB, MOST_DEG = 12.0, 90.0  # ... and above which it is cut
 TITLES = (
     r"$u\rightarrow\theta_2$, gain", r"$u\rightarrow\theta_2$, phase", r"$u\rightarrow p_A{-}p_B$, gain",
     r"$u\rightarrow p_A{-}p_B$, phase", r"statics, $p_A{-}p_B$", r"step, $\theta_2$",
 )  # fmt: skip
 UNITS = ("dB over Hz", "deg over Hz", "dB over Hz", "deg over Hz", "mbar over deg", "deg over s")
-ROW_IN = 1.05
-ON_A_PAGE = 6
 STEP_S = 1.0  # when the setpoint jumps
 
 
@@ -48,7 +44,7 @@ def draw_effects(path: Path, words: Sequence[str]) -> list[Path]:
         raise WrongUseError("a page of effects is a .png file", str(path), f"write {path.with_suffix('.png')}")
     every = words or list(dict.fromkeys(form.effect for form in arm.effects))
     found = list(sheets(arm, effect_study(), asked(arm, every), signals, paths))
-    pages = -(-len(found) // ON_A_PAGE)
+    pages = -(-len(found) // 6)
     each = -(-len(found) // pages)
     files = [path.with_stem(f"{path.stem}_{k + 1}") for k in range(pages)] if pages > 1 else [path]
     return [
@@ -73,7 +69,8 @@ def effects_page(sheets: Sequence[EffectSheet], *, title: str = "What each effec
     if not sheets:
         raise WrongUseError("a page of effects needs a sheet", "none", "name an effect")
     rows = len(sheets)
-    figure = new_figure(rows, 6, (FULL_WIDTH_IN, 1.3 + ROW_IN * rows))
+    row_in = 1.05
+    figure = new_figure(rows, 6, (FULL_WIDTH_IN, 1.3 + row_in * rows))
     for k, sheet in enumerate(sheets):
         row = figure.axes[6 * k : 6 * k + 6]
         _frfs(row, sheet)
@@ -94,9 +91,11 @@ def effects_page(sheets: Sequence[EffectSheet], *, title: str = "What each effec
 
 
 def _frfs(row: Sequence[Axes], sheet: EffectSheet) -> None:
+    smallest_db, smallest_deg = 2.0, 12.0  # half heights below which a panel is not magnified further
+    most_db, most_deg = 12.0, 90.0  # ... and above which it is cut
     for k, path in enumerate(PATHS):
-        _frf(row[2 * k], sheet, path, "gain_db", SMALLEST_DB, MOST_DB)
-        _frf(row[2 * k + 1], sheet, path, "phase_deg", SMALLEST_DEG, MOST_DEG)
+        _frf(row[2 * k], sheet, path, "gain_db", smallest_db, most_db)
+        _frf(row[2 * k + 1], sheet, path, "phase_deg", smallest_deg, most_deg)
 
 
 def _frf(ax: Axes, sheet: EffectSheet, path: str, name: str, least: float, most: float) -> None:

@@ -15,9 +15,6 @@ from loopshape.toolbox.campaign.processes import Work
 J = TypeVar("J")
 R = TypeVar("R")
 BATCH_S = 2.0  # of work in a task
-_LONGEST = 1000  # jobs in a task
-_AHEAD = 2  # tasks a thread of the cluster: one at work, one waiting
-_PATIENCE_S = 30  # for the first worker
 
 
 def by_cluster(work: Work[J, R], jobs: Iterable[J], address: str) -> Generator[tuple[J, R]]:
@@ -31,11 +28,12 @@ def by_cluster(work: Work[J, R], jobs: Iterable[J], address: str) -> Generator[t
 
     left, count, open_tasks = iter(jobs), 1, 0
     with client, _message(address, KilledWorker):
-        client.wait_for_workers(1, timeout=_PATIENCE_S)
+        client.wait_for_workers(1, timeout=30)  # for the first worker
         coming = as_completed()
         tasks: dict[str, Sequence[J]] = {}
+        ahead = 2  # tasks a thread of the cluster: one at work, one waiting
         while True:
-            while open_tasks < _AHEAD * _threads(client) and (batch := list(islice(left, count))):
+            while open_tasks < ahead * _threads(client) and (batch := list(islice(left, count))):
                 future = client.submit(_batch, work, batch, pure=False)
                 tasks[future.key] = batch
                 coming.add(future)
@@ -59,7 +57,7 @@ def _batch(work: Work[J, R], jobs: Sequence[J]) -> tuple[list[R], float]:
 
 def _next_count(jobs: int, seconds: float) -> int:
     """Jobs of the next task, by how long those of one took."""
-    return max(1, min(_LONGEST, int(BATCH_S * jobs / max(seconds, 1e-9))))
+    return max(1, min(1000, int(BATCH_S * jobs / max(seconds, 1e-9))))  # jobs in a task
 
 
 def _threads(client: Any) -> int:

@@ -17,7 +17,6 @@ from loopshape.toolbox.gap.nouns.plant import ParameterTable
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study, merged_effects
 
 MOST = 10_000_000  # machines: more is a slip of the pen
-SEEDS_APART = 1_000_003  # of machines' sensor noise
 _LONGEST_NAME = 120  # letters of a machine's folder
 
 
@@ -106,11 +105,12 @@ class Campaign:
                 "leave draws out",
             )
         cases = product(range(max(1, self.draws)), self.amplitudes, self.effects)
+        seeds_apart = 1_000_003  # of machines' sensor noise
         for number, (draw, amplitude, effects) in enumerate(cases):
             drawn = _drawn(spread, table, self.study.changes, (self.seed, draw)) if self.draws else {}
             study = replace(
                 self.study,
-                seed=self.study.seed + self.seed * SEEDS_APART + number,
+                seed=self.study.seed + self.seed * seeds_apart + number,
                 effects=merged_effects(self.study.effects, effects),
                 experiments=tuple(_scaled(e, amplitude) for e in self.study.experiments),
             )

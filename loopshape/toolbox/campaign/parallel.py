@@ -19,7 +19,6 @@ from loopshape.toolbox.rig.simulated import Planned, Rig, experiment
 from loopshape.toolbox.rig.study import Study
 
 R = TypeVar("R")
-_PER_CORE = 8  # processes: each takes some 200 MB and a start of seconds
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ def carried_out(
 
 def check_workers(workers: int) -> None:
     """Refuse a negative number of processes, and more than a machine can hold."""
-    most = _PER_CORE * (os.cpu_count() or 1)
+    most = 8 * (os.cpu_count() or 1)  # processes: each takes some 200 MB and a start of seconds
     if not 0 <= workers <= most:
         raise WrongUseError(
             "the number of workers is not one of this machine", str(workers), f"use 1 to {most}, or 0 (one per core)"

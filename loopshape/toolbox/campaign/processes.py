@@ -24,8 +24,6 @@ J = TypeVar("J")
 R = TypeVar("R")
 #: does a job's work, and gives what waits for the disk and tells what came of it: the next job is at work meanwhile
 Work = Callable[[J], Callable[[], R]]
-_AHEAD = 3  # jobs that a process has: one waits for the disk, one is at work, one is there when its answer is read
-_DEATHS = 2  # of processes over one job, from which on it is the job's fault
 
 
 def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generator[tuple[J, R]]:
@@ -53,7 +51,9 @@ def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generat
                     one.end()
                     left.put_back(one.jobs)
                     continue
-                if not one.give(left.take(_AHEAD - len(one.jobs))):
+                # jobs that a process has: one waits for the disk, one is at work, one is there when its answer is read
+                ahead = 3
+                if not one.give(left.take(ahead - len(one.jobs))):
                     team.remove(one)
                     one.end()
                 yield job, answer
@@ -63,7 +63,7 @@ def by_processes(work: Work[J, R], jobs: Iterable[J], processes: int) -> Generat
 
 
 def _refuse_deadly(deaths: int) -> None:
-    if deaths >= _DEATHS:
+    if deaths >= 2:  # of processes over one job, from which on it is the job's fault
         raise RigError(
             "a worker process ended unasked", "killed, or out of memory, twice over one recording",
             "the same command goes on; use fewer workers",

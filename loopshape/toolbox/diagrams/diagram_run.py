@@ -16,9 +16,6 @@ from loopshape.data.control.controller import Controller
 from loopshape.toolbox.diagrams.diagram import Diagram, Part
 from loopshape.toolbox.learning.taps import Feedforward
 
-#: more states than this are those of delay lines: their matrices are nearly empty
-MANY = 100
-
 
 class States(NamedTuple):
     """x+ = A x + B w, s = C x + D w: w is what is added at each signal of the diagram, s are all its signals."""
@@ -56,7 +53,7 @@ def simulate(D: Diagram, models: Mapping[str, Any], signals: Mapping[str, ArrayL
     n = next(iter(given.values())).size
     added = np.stack([given.get(name, np.zeros(n)) for name in D.signals], axis=1)
     system = states(D, models)
-    many = len(system.A) > MANY
+    many = len(system.A) > 100  # more states than this are those of delay lines: their matrices are nearly empty
     A, B, c, d = (csr_array(m) if many else m for m in system)
     x, out = np.zeros(len(system.A)), np.empty((n, len(D.signals)))
     for k, w in enumerate(added):

@@ -14,9 +14,6 @@ from loopshape.identify.smooth.smoothing import smoothed
 from loopshape.toolbox.learning.feedforward import feedforward
 from loopshape.toolbox.learning.noun import Learning, zero_phase
 
-#: periods of the band's end that the smoothing filter spans
-SPAN = 5.0
-
 
 def learning(
     P: FRF,
@@ -48,7 +45,8 @@ def learning(
     F = feedforward(P, band_hz=band_hz, taps=taps, preview=preview, integrators=integrators)
     if F.rate_hz != own.rate_hz:
         raise WrongUseError("a plant is learned at its controller's rate", f"{F.rate_hz:g} and {own.rate_hz:g} Hz")
-    half = max(2, round(0.5 * SPAN * F.rate_hz / band_hz[1]))
+    span = 5.0  # periods of the band's end that the smoothing filter spans
+    half = max(2, round(0.5 * span * F.rate_hz / band_hz[1]))
     smoothing = np.asarray(firwin(2 * half + 1, band_hz[1], window="blackmanharris", fs=F.rate_hz))
     lines, scatter = smoothed(P)
     f, gain = lines.frequency_hz, own.response(lines.frequency_hz)

@@ -2,22 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.learning.noun import Learning
-from loopshape.toolbox.learning.trial import NextTrial
 
-#: of a signal's reach: how far repetitions of one move may lie apart in setpoint and feedforward
-ALIKE = 1e-6
+
+@dataclass(frozen=True, eq=False)
+class NextTrial(Plain):
+    """What learning makes of a recorded trial: `feedforward` (n,) at the plant's input, in `unit`, for the next one.
+
+    `error_rms` is that of the recorded error. Of several repetitions `repeated_rms` is that of what they have in common
+    and `scatter_rms` (None of one repetition) that of the rest, which nothing can learn. `expected_rms` is the next
+    trial's: each frequency of the error times the learning's `factor`, what lies above the band as it is, and the
+    scatter. That holds for a linear loop whose FRF is right, until what is left lies at the band's end alone.
+    """
+
+    IN_JSON: ClassVar[Mapping[str, str]] = keys(
+        "loop", "unit", "rate_hz", "repetitions", "error_rms", "repeated_rms", "scatter_rms", "expected_rms"
+    )
+
+    feedforward: Array
+    unit: str
+    rate_hz: float
+    loop: str
+    repetitions: int
+    error_rms: float
+    repeated_rms: float
+    scatter_rms: float | None
+    expected_rms: float
+
+    def __repr__(self) -> str:
+        """One line: the error of this trial and of the next."""
+        apart = "" if self.scatter_rms is None else f", {self.scatter_rms:.3g} of it not repeated"
+        return f"NextTrial: error rms {self.error_rms:.4g}{apart}; next {self.expected_rms:.4g} expected"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +146,9 @@ def _alike(parts: Sequence[Array]) -> _Repetitions:
     if len(lengths) > 1:
         raise WrongUseError("repetitions of a move have one length", f"{sorted(lengths)} samples", "cut them alike")
     r, u, e, z = np.stack(parts, axis=1)
+    alike = 1e-6  # of a signal's reach: how far repetitions of one move may lie apart in setpoint and feedforward
     for what, values in (("setpoint", r), ("feedforward", u)):
-        if np.ptp(values, axis=0).max() > ALIKE * np.abs(values).max():
+        if np.ptp(values, axis=0).max() > alike * np.abs(values).max():
             raise WrongUseError(
                 f"the recordings differ in their {what}, so they are no repetitions of one move",
                 f"up to {np.ptp(values, axis=0).max():.3g} apart", "name those of the last trial",

@@ -24,9 +24,6 @@ from loopshape.toolbox.limits.bound_nodes import weights
 
 #: the integral must lie this far below zero, relative to the integral of |h| times the regions' size
 CLEAR = 1e-4
-#: directions in which the test functions differ by less than this are dropped
-_RANK = 1e-7
-NEWTON_STEPS = 60
 
 Smooth = tuple[float, Array]
 
@@ -69,7 +66,8 @@ def certificate(s: ComplexArray, vertices: ComplexArray, poles: Poles) -> Certif
     basis, back = _orthonormal(functions * (dw / du)[:, None], np.sqrt(du) * size)
     c = np.zeros(basis.shape[1])
     value, exponents = _smooth(basis, vertices, du, c)
-    for _ in range(NEWTON_STEPS):
+    newton_steps = 60
+    for _ in range(newton_steps):
         h = basis @ c
         excess = float(du @ exponents.max(axis=1) / max(du @ (np.abs(h) * size), 1e-300))
         if excess < -CLEAR:
@@ -91,7 +89,7 @@ def _orthonormal(functions: ComplexArray, scale: Array) -> tuple[ComplexArray, A
     stacked = np.concatenate([scaled.real, scaled.imag])
     norms = np.linalg.norm(stacked, axis=0)
     u, sizes, v = np.linalg.svd(stacked / norms, full_matrices=False)
-    kept = sizes > _RANK * sizes[0]
+    kept = sizes > 1e-7 * sizes[0]  # directions in which the test functions differ by less than this are dropped
     back = (v[kept].T / sizes[kept]) / norms[:, None]
     n = scale.size
     return (u[:n, kept] + 1j * u[n:, kept]) / scale[:, None], back

@@ -21,7 +21,7 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.design.growth import library
-from loopshape.design.tune import Tuning, tune
+from loopshape.design.tune import Search, Tuning, tune
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.toolbox.limits.bound import excluded
@@ -30,12 +30,6 @@ from loopshape.toolbox.limits.bound_reach import Reached, achieved, reached_at
 
 #: places across the band and dampings at which a new block is tried, steps of each trial and of the last fit
 PLACES, DAMPINGS, TRIAL, LAST = 10, (0.1, 0.6), 25, 300
-#: shares of the bandwidth reached at which a design is fitted: farther below it needs less order
-SHARES = (1.0, 0.85, 0.7)
-#: from this order on a block is also grown on a smaller controller
-LEAST_GROWN = 3
-#: starts where no design leads to what meets the limits
-RANDOM = 16
 #: a gain may be tuned this far either way
 GAIN = 1000.0
 
@@ -70,7 +64,7 @@ def reach_order(
         )
     task = _Order(tuple(frfs), controller, requirements, tuple(fits), library(loops), seed)
     found = [task.tuned(design, order) for design in designs]
-    if order >= LEAST_GROWN:
+    if order >= 3:  # from this order on a block is also grown on a smaller controller
         found.append(task.grown(min((task.tuned(design, order - 2) for design in designs), key=_rank)))
     if not any(one.feasible for one in found):
         found.append(task.searched(found[0], order))
@@ -80,7 +74,9 @@ def reach_order(
 def _designs(loop: Loop, limits: Requirements, bound_hz: float) -> list[Reached]:
     """Convex designs with margins at shares of the largest bandwidth that one reaches."""
     most = achieved(loop, limits, bound_hz, margins=True).bandwidth_hz
-    found = [reached_at(loop, limits, share * most, margins=True) for share in SHARES if most]
+    # shares of the bandwidth reached at which a design is fitted: farther below it needs less order
+    shares = (1.0, 0.85, 0.7)
+    found = [reached_at(loop, limits, share * most, margins=True) for share in shares if most]
     return [one for one in found if one is not None]
 
 
@@ -114,7 +110,8 @@ class _Order:
     def searched(self, tuning: Tuning, order: int) -> Tuning:
         """A controller of `order` poles from a tuned one and random starts beside it."""
         structure = self._structure(order)
-        return self._from(tuning.controller, structure, starts=RANDOM)
+        random = 16  # starts where no design leads to what meets the limits
+        return self._from(tuning.controller, structure, starts=random)
 
     def _structure(self, order: int) -> tuple[BlockTemplate, ...]:
         notch, lead = self.library
@@ -124,7 +121,8 @@ class _Order:
         gain = start.blocks[0].parameters["gain"]
         every = (BlockTemplate("gain", {"gain": Free(gain / GAIN, gain * GAIN)}), *structure)
         asked = replace(self.requirements, structure=every)
-        return tune(self.frfs, asked, self.fits, start=start, seed=self.seed, starts=starts, explain=False, grow=grow)
+        search = Search(self.seed, starts, grow=grow)
+        return tune(self.frfs, asked, self.fits, search, start=start, explain=False)
 
 
 def fitted(found: Reached, controller: Controller, structure: Sequence[BlockTemplate]) -> Controller:

@@ -24,9 +24,6 @@ from loopshape.loop.loop import Loop
 from loopshape.toolbox.limits.bound_nodes import Ceilings, Nodes, impossible, nodes
 from loopshape.toolbox.limits.bound_regions import own_ceilings
 
-#: smoothing of the largest violation, from coarse to fine
-SMOOTHING = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 3e-4)
-NEWTON_STEPS = 40
 #: dampings of Q's pairs across the nodes and at the bandwidth tried
 WIDE, NEAR = (0.4, 0.12), (0.2, 0.1, 0.05)
 
@@ -149,8 +146,10 @@ def _orthonormal(functions: ComplexArray, scale: Array) -> ComplexArray:
 def _least_violation(a: ComplexArray, B: ComplexArray, b: Array, line: Array) -> Array | None:
     """x with |a + B x| <= 1 and b + line x <= 0 throughout, None where Newton's method finds none."""
     x = np.zeros(B.shape[1])
-    for smoothing in SMOOTHING:
-        for _ in range(NEWTON_STEPS):
+    newton_steps = 40
+    # smoothing of the largest violation, from coarse to fine
+    for smoothing in (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 3e-4):
+        for _ in range(newton_steps):
             value, share, z = _smooth(a, B, b, line, x, smoothing)
             if max(np.abs(z).max() - 1.0, np.max(b + line @ x, initial=-np.inf)) <= 0.0:
                 return x

@@ -21,12 +21,8 @@ from loopshape.toolbox.limits.bound_nodes import Ceilings, Nodes, ceiling_above,
 #: directions of the polygons' sides
 SIDES = 48
 DIRECTIONS: ComplexArray = np.exp(1j * TWO_PI * np.arange(SIDES) / SIDES)
-#: a border straighter than this (inverse radius over the region's size) counts as this curved, outwards
-_STRAIGHT = 1e-6
 #: alpha, Re beta, Im beta, gamma of a form that always holds
 _HOLDS = np.array([0.0, 0.0, 0.0, -1.0])
-#: |L| >= 1 is asked as |L| >= 1 less this, which keeps its half-plane a (vast) circle
-_UNITY = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +83,8 @@ def regions(at: Nodes, limits: Requirements, loops: Sequence[Loop]) -> Regions |
         if np.any(here & (N[1] != 0.0)):  # else it is the plant itself
             forms.append(np.stack(_limits(S, CS, N, ceilings(limits, at.f, one), here), axis=1))
     size = np.where(band, np.abs(P), np.inf).min(axis=0)
-    unity = _form(S, (1.0 + _UNITY) * size, CS, np.asarray(band.any(axis=0)))
+    # |L| >= 1 is asked as |L| >= 1 less this, which keeps its half-plane a (vast) circle
+    unity = _form(S, (1.0 + 1e-5) * size, CS, np.asarray(band.any(axis=0)))
     return Regions(np.concatenate([*forms, unity[:, None]], axis=1), centre, extent)
 
 
@@ -155,7 +152,9 @@ def _borders(forms: Array, centre: ComplexArray, extent: Array) -> tuple[np.ndar
     c, r = centre[:, None], extent[:, None]
     gamma = (alpha * np.abs(c) ** 2 + 2.0 * np.real(np.conj(beta) * c) + gamma) / r**2
     beta = (beta + alpha * c) / r
-    curved = np.maximum(np.abs(beta), np.abs(gamma)) * _STRAIGHT
+    # a border straighter than this (inverse radius over the region's size) counts as this curved, outwards
+    straight = 1e-6
+    curved = np.maximum(np.abs(beta), np.abs(gamma)) * straight
     alpha = np.where(np.abs(alpha) < curved, -curved, alpha)
     middle = -beta / alpha
     return alpha > 0.0, middle, np.sqrt(np.maximum(np.abs(middle) ** 2 - gamma / alpha, 0.0))

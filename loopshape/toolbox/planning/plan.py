@@ -37,8 +37,6 @@ LEAST_PERIODS = 4
 NOISE_PEAK = 4.0
 #: periods of each realisation where there are several
 FEW_PERIODS = 2
-#: of the wish's variance, that distortion may take in one realisation, or in their mean
-DISTORTION_SHARE = 0.5
 #: a default band reaches this factor to both sides of the crossover
 DECADE = 10.0
 
@@ -135,7 +133,8 @@ def _size(required: Required, shape: _Shape, most: float, binds: str, least: flo
         periods = max(FEW_PERIODS, round(float(required.seconds or 0.0) / period_s))
         return _Size(1, periods, most, "seconds", True, periods * period_s + ramps_s, most)
     floor = float(shape.floor[x]) ** 2
-    count = max(1, int(np.ceil(floor / (DISTORTION_SHARE * required.std**2) - 1e-9)))
+    distortion_share = 0.5  # of the wish's variance, that distortion may take in one realisation, or in their mean
+    count = max(1, int(np.ceil(floor / (distortion_share * required.std**2) - 1e-9)))
     each_s = float(shape.need[x] / shape.power[x]) / most**2  # std² times seconds of noise alone, at most
     seconds = each_s / (required.std**2 - floor / count)
     fewest = FEW_PERIODS if count > 1 else LEAST_PERIODS

@@ -12,7 +12,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from loopshape.core.units import Array
-from loopshape.identify.quality.distortion import CHANCE, Lines
+from loopshape.identify.quality.distortion import Lines
+from loopshape.identify.tolerances import TOL
 from loopshape.toolbox.planning.plan_record import FirstRecord, between
 
 
@@ -69,6 +70,6 @@ def _level(first: FirstRecord, silent: Lines) -> float | None:
     noise = 2.0 * np.exp(np.interp(*near, np.log(first.noise))) / (period_s * found.periods)
     clear = float(np.mean(silent.amplitude**2 / size) / np.mean(noise / size)) if np.all(noise > 0.0) else np.inf
     freedom = 2.0 * float(np.interp(*near, first.averages).mean())
-    if fdtrc(2 * f.size, freedom, clear) >= CHANCE:
+    if fdtrc(2 * f.size, freedom, clear) >= TOL.distortion_by_chance:
         return 0.0
     return float(np.sqrt(max(float(np.mean((silent.amplitude**2 - noise) / size)), 0.0)))

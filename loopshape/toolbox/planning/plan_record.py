@@ -31,8 +31,6 @@ from loopshape.identify.spectra.transforms import transform
 KNOWN = 0.3
 #: noise is averaged over a third of an octave to both sides
 BAND_FACTOR = 2.0 ** (1.0 / 3.0)
-#: lines at which local fits look for the noise, at most
-MOST_LINES = 4000
 #: lines to each side, order and poles of the fits that leave the noise over
 WINDOW = Window(8, 2, 0)
 
@@ -173,7 +171,7 @@ def _noise_of_fits(recording: Recording, s: LoopSignals[Array], frf: FRF) -> tup
     low, high = (int(np.clip(round(f * n / recording.rate_hz), 1, n // 2 - 1)) for f in frf.frequency_hz[[0, -1]])
     low = max(1, min(low, high - width))
     high = min(n // 2 - 1, max(high, low + width))
-    at = np.arange(low, high + 1, max(1, (high - low) // MOST_LINES))
+    at = np.arange(low, high + 1, max(1, (high - low) // 4000))  # lines at which local fits look for the noise, at most
     few = CHUNK // width
     fits = [fit_lines(X, R, at[k : k + few], low, high, window) for k in range(0, at.size, few)]
     f = np.asarray(at * (recording.rate_hz / n), dtype=np.float64)

@@ -25,8 +25,6 @@ Paths = Mapping[str, tuple[str, str]]
 KNOWN = 0.2
 #: distortion is looked at below this frequency
 LOW_HZ = 1.5
-#: values of a time response are means over this many seconds, so that pulses do not show
-BLOCK_S = 0.02
 
 
 def sheets(
@@ -120,7 +118,8 @@ def frf_change(without: FRF, changed: FRF) -> FrfChange:
 
 
 def _time_change(one: _Seen, two: _Seen, signal: str) -> TimeChange:
-    rows = max(1, round(BLOCK_S * one.recording.rate_hz))
+    block_s = 0.02  # values of a time response are means over this many seconds, so that pulses do not show
+    rows = max(1, round(block_s * one.recording.rate_hz))
     a, b = (_blocks(x.signals[signal], rows) for x in (one, two))
     n = min(a.size, b.size)
     return TimeChange(np.asarray((np.arange(n) + 0.5) * rows / one.recording.rate_hz), a[:n], b[:n])

@@ -33,7 +33,6 @@ FIRMWARE_SOURCES = (
         for name in ("Makefile", "stm32f4.ld", "chip.h", "start.c", "stm32f4.c", "axis.c", "drive.c")
     ),
 )
-STOP_S = 10.0
 
 
 class NoCompilerError(LoopshapeError):
@@ -202,7 +201,8 @@ def start(emulator: Emulator) -> tuple[subprocess.Popen[str], str]:
 def stop(process: subprocess.Popen[str]) -> str:
     """End it, and give what it said on its standard error."""
     process.terminate()
-    _, output = process.communicate(timeout=STOP_S)
+    stop_s = 10.0
+    _, output = process.communicate(timeout=stop_s)
     return output.strip()
 
 

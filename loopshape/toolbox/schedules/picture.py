@@ -15,8 +15,6 @@ from loopshape.view.labels import bracket, numbers, quantity, split_unit, symbol
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, MARKERS, QUIET, axes_or_new, head, shades, styled
 
 _KINDS = {"lead_lag": "lead-lag", "low_pass_1": "low-pass", "low_pass_2": "low-pass"}
-#: a parameter that spans less than this factor is drawn on a linear axis
-_LOGARITHMIC = 4.0
 
 
 @styled()
@@ -105,7 +103,8 @@ def parameter(found: Schedule, name: str, *, ax: Axes | None = None) -> Axes:
     robust = found.robust.blocks[int(place) - 1].parameters[what]
     ax.axhline(robust, color=QUIET, linewidth=0.9, linestyle="--", gid="robust", label="robust")
     seen = np.array([*values.values(), robust])
-    if seen.min() > 0.0 and seen.max() > _LOGARITHMIC * seen.min():
+    logarithmic = 4.0  # a parameter that spans less than this factor is drawn on a linear axis
+    if seen.min() > 0.0 and seen.max() > logarithmic * seen.min():
         _plain_log(ax, seen)
     short, unit = split_unit(what)
     ax.set_ylabel((f"{_KINDS.get(kind, kind)} {symbol(short)}" if kind != what else kind) + bracket(unit))

@@ -12,7 +12,7 @@ from loopshape.data.requirement.requirements import LIMIT_OF, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 from loopshape.loop.loops import loops_of
 from loopshape.loop.verdict import check
 from loopshape.toolbox.limits.bound import excluded
@@ -154,7 +154,7 @@ def _tuned(
     """A tuned controller and its check; a search that ends a hair outside is repeated with these limits closer."""
     asked = requirements
     for _ in range(1 + AGAIN):
-        controller = tune([frf], asked, fits, seed=seed, starts=starts).controller
+        controller = tune([frf], asked, fits, search=Search(seed=seed, starts=starts)).controller
         verdict = check([frf], controller, requirements, fits)
         missed = [line for line in verdict.lines if line.outcome == "failed"]
         if not missed or verdict.unstable:

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
-from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.data.signal.run import Run
+from loopshape.toolbox.gap.noise import start_state
 from loopshape.toolbox.gap.nouns.effect import EffectForm, Spread
 from loopshape.toolbox.gap.nouns.plant import ParameterTable
 from loopshape.toolbox.servo import closed_loop as kernel

@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels import biquads, noise
+from loopshape.core.kernels import biquads
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
+from loopshape.toolbox.gap import noise
 from loopshape.toolbox.servo import motion
 
 COMPLETE, LEFT_RANGE, NOT_FINITE = 0, 1, 2

@@ -20,19 +20,16 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.noise import noise_rms
 from loopshape.core.units import TWO_PI, Array
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.toolbox.gap.own.signals import noise_rms
 from loopshape.toolbox.servo import closed_loop, motion
 from loopshape.toolbox.servo.parameters import AXIS_PARAMETERS, MASS, SHARE, constants
 
 LEAD_S, TAIL_S = 0.3, 0.1  # not compared: states settle, the low-pass meets the end
 OBSERVER_HZ, PASS_HZ, SLOW_HZ = 100.0, 40.0, 0.3
 RIPPLE = 0.01  # of the force: cogging and reluctance, a drive's gain; sensors of real axes are far finer than that
-_OF_RATE = 0.1  # the observer's largest share of the rate
-_NOISY = 0.1  # of the force's rms
-_LOWEST_PASS = 0.05  # of PASS_HZ
 _DAMPING = 0.7
 _SHORTEST_S = 1.0
 
@@ -87,7 +84,7 @@ def simulated_along(recording: Recording, loop: LoopSetup | None = None, longest
             f"{n / recording.rate_hz:.3g} s",
             f"give at least {LEAD_S + TAIL_S + _SHORTEST_S:g} s",
         )
-    observer_hz = min(OBSERVER_HZ, _OF_RATE * recording.rate_hz)
+    observer_hz = min(OBSERVER_HZ, 0.1 * recording.rate_hz)  # the observer's largest share of the rate
     arrays = (np.ascontiguousarray(force[:n]), np.array(position[:n]))
     return Followed(
         recording.info.name,
@@ -101,8 +98,8 @@ def simulated_along(recording: Recording, loop: LoopSetup | None = None, longest
 
 def quieter(f: Followed, vector: Array) -> Followed:
     """The same with its low-pass lowered until noise leaves less than a tenth of the force."""
-    lowest = _LOWEST_PASS * f.pass_hz
-    while f.pass_hz > lowest and noise_n(f, vector) > _NOISY * np.sqrt(np.mean(f.force_n**2)):
+    lowest = 0.05 * f.pass_hz  # of PASS_HZ
+    while f.pass_hz > lowest and noise_n(f, vector) > 0.1 * np.sqrt(np.mean(f.force_n**2)):  # of the force's rms
         f = replace(f, pass_hz=0.5 * f.pass_hz)
     return f
 

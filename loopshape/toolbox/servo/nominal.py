@@ -21,7 +21,6 @@ from loopshape.toolbox.servo.parameters import NOMINAL
 
 _GIVEN = {"mass_kg": 0.05, "viscous_ns_m": 0.20, "stiffness_n_m": 0.05}
 _ESTIMATED = {"mass_kg": 0.30, "viscous_ns_m": 1.0}
-_LEAST_VISCOUS = 0.05  # of force over speed: what is estimated below cannot be scaled to anything
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,8 @@ def estimated(recordings: Sequence[Followed], known: Mapping[str, float]) -> dic
             "check the sign of force_n, or give mass_kg under [parameters] of run.toml",
         )
     if "viscous_ns_m" in found:
-        least = _LEAST_VISCOUS * _rms(columns["force_n"]) / _rms(columns["viscous_ns_m"])
+        least_viscous = 0.05  # of force over speed: what is estimated below cannot be scaled to anything
+        least = least_viscous * _rms(columns["force_n"]) / _rms(columns["viscous_ns_m"])
         found["viscous_ns_m"] = max(found["viscous_ns_m"], least)
     return {**known, **found}
 

@@ -41,6 +41,7 @@ from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
 from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
+from loopshape.loop.tolerances import TOL
 from loopshape.loop.verdict import outside_warnings
 from loopshape.view.html.markup import packed
 
@@ -119,17 +120,22 @@ def _not_read(required: Requirements) -> list[str]:
 def _constants() -> dict[str, Any]:
     """Numbers of the formulas, from the modules that hold them."""
     return {
-        "half_width": margins.REACH,
+        "half_width": TOL.half_width_std,
         "below_ratios": low_end.BELOW_RATIOS.tolist(),
         "extrapolated_below": low_end.EXTRAPOLATED_BELOW,
         "far_below": low_end.SMALL,
-        "agree": low_end.AGREE,
+        "agree": TOL.integrators_agree,
         "large": low_end.LARGE,
         "at_zero": kernel.AT_ZERO,
         "same": stability.SAME,
         "least_damping": holes.LEAST_DAMPING,
         "poor_damping": holes.POOR_DAMPING,
-        **_numbers(obstacles, "radius_95 wrong uncertain_ratio on_it peak scatter"),
+        "radius_95": TOL.radius_95,
+        "wrong": TOL.wrong_count,
+        "uncertain_ratio": TOL.uncertain_ratio,
+        "peak": TOL.unseen_peak,
+        "scatter": TOL.scatter_std,
+        "on_it": obstacles.ON_IT,
         **_numbers(between, "step small most wide far rounds"),
         "between": dense.BETWEEN,
         "fewest": dense.FEWEST,
@@ -161,8 +167,8 @@ def _detuning_constants() -> dict[str, Any]:
         **_numbers(detuning, "coarse fine finest steps finest_step rounding"),
         "outer": list(detuning.OUTER),
         "fewer": list(detuning.FEWER),
-        "draws": shifted.DRAWN,
-        "half_width": shifted.HALF_WIDTH_STD,
+        "draws": TOL.shifted_draws,
+        "half_width": TOL.half_width_shifted_std,
         "matters": shifted.MATTERS,
         "near": shifted.NEAR.tolist(),
     }

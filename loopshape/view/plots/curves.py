@@ -165,8 +165,6 @@ def _plotted(ax: Axes) -> tuple[float, float]:
 #: a phase is known where the error E|d|² of a line is below half its magnitude: a standard deviation of 20 degrees
 _KNOWN = 0.5
 _NEIGHBOURS = np.array([1.0, 4.0, 6.0, 4.0, 1.0])  # binomial: no slope of phase below 180 degrees a line reads falsely
-#: lines with a smaller relative error are all equally sure of their branch
-_SURE = 0.05
 
 
 def known_lines(frf: FRF) -> np.ndarray:
@@ -190,7 +188,8 @@ def continuous_deg(response: ComplexArray, relative: Array, known: np.ndarray) -
 
 def _directions_deg(unit: ComplexArray, relative: Array) -> Array:
     """Mean direction (nf,) of five lines about each; beyond both ends the phase goes on as it came."""
-    weight = 1.0 / np.maximum(relative, _SURE) ** 2
+    sure = 0.05  # lines with a smaller relative error are all equally sure of their branch
+    weight = 1.0 / np.maximum(relative, sure) ** 2
     edge = min(2, unit.size - 1)
     before, after = slice(edge, 0, -1), slice(-2, -2 - edge, -1)
     directions = [

@@ -29,10 +29,7 @@ from loopshape.view.plots.matrix import settled
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, head, new_figure, styled
 
 VERDICT_COLOURS = dict(zip(Coupling, ("#E8E8E8", "#A6A6A6", "#3C3C3C"), strict=True))
-_CEILING_DB = 400.0
 _FEW = 3  # pairs that share a panel of half the width
-_MANY = 9  # partial coherences beyond which no curve can be told
-_NORMAL_95 = 1.959964
 _SHADED = "shaded: 95 %, of each frequency by itself"
 
 
@@ -47,7 +44,7 @@ def coefficients(found: Interaction, *, ax: Axes | None = None) -> Axes:
         colour, use = COLOURS[k % len(COLOURS)], one.valid
         known = use & settled(one.low > 0.0)
         draw_valid(ax, one.frequency_hz, db(one.coefficient), known, color=colour, label=_pair_text(one.loops))
-        low, high = np.maximum(db(one.low), FLOOR_DB), np.minimum(db(one.high), _CEILING_DB)
+        low, high = np.maximum(db(one.low), FLOOR_DB), np.minimum(db(one.high), 400.0)
         draw_band(ax, one.frequency_hz[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
     frequency_axis(ax, *shown_band_hz(found.frf))
     ax.axhline(found.limit_db, color=LIMIT, linewidth=1.0, linestyle="--", gid="limit")
@@ -103,9 +100,10 @@ def relative_gains(found: Interaction, *, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax)
     one = found.relative_gain
     use = one.valid
+    normal_95 = 1.959964
     for k, name in enumerate(found.loops if len(found.loops) > 2 else found.loops[:1]):
         colour, size = COLOURS[k % len(COLOURS)], np.abs(one.gain[:, k, k])
-        half_width = _NORMAL_95 * one.std[:, k, k] / np.sqrt(2.0)
+        half_width = normal_95 * one.std[:, k, k] / np.sqrt(2.0)
         draw_valid(ax, one.frequency_hz, size, use, color=colour, label=symbol(name))
         low, high = np.maximum(size - half_width, 0.0), size + half_width
         draw_band(ax, one.frequency_hz[use], low[use], high[use], color=colour, alpha=0.22, gid="band")
@@ -223,7 +221,8 @@ def interaction_page(found: Interaction) -> Figure:
         panels += [lambda ax: closing_db(shown, ax=ax), lambda ax: closing_deg(shown, ax=ax)]
     if frf.multiple_coherence is not None:
         panels.append(lambda ax: multiple_coherences(frf, ax=ax))
-    if frf.partial_coherence is not None and len(frf.inputs) * len(frf.outputs) <= _MANY:
+    many = 9  # partial coherences beyond which no curve can be told
+    if frf.partial_coherence is not None and len(frf.inputs) * len(frf.outputs) <= many:
         panels.append(lambda ax: partial_coherences(frf, ax=ax))
     wide = len(found.coefficients) > _FEW
     figure, axes = _places(len(panels), wide)

@@ -25,7 +25,6 @@ from loopshape.view.style import COLOURS, FULL_WIDTH_IN, head, new_figure, style
 
 #: more elements than these are drawn as maps
 GRID_ROWS, GRID_COLUMNS = 4, 4
-_WOUND_DEG = 720.0  # a phase that turns by more is taken for one that noise has wound up
 _KNOWN = 1.92  # deviations below which an element may be zero: sqrt(-ln 0.025)
 
 
@@ -76,7 +75,8 @@ def _element(frf: FRF, i: int, j: int, above: Axes, below: Axes) -> None:
 def _phase(one: FRF, known: np.ndarray, ax: Axes) -> None:
     """Phase in degrees, continuous; on (-270, 90] and broken where it jumps if noise would wind it up."""
     angle = unwrapped_deg(one.siso, known)
-    if known.any() and np.ptp(angle[known]) > _WOUND_DEG:
+    wound_deg = 720.0  # a phase that turns by more is taken for one that noise has wound up
+    if known.any() and np.ptp(angle[known]) > wound_deg:
         angle = angle - 360.0 * np.ceil((angle - 90.0) / 360.0)
         lines = np.flatnonzero(known)
         angle[lines[1:][np.abs(np.diff(angle[lines])) > 180.0]] = np.nan

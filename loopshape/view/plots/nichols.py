@@ -34,8 +34,6 @@ from loopshape.view.plots.nichols_guides import (
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, figure_of, head, styled
 from loopshape.view.verdict.loop_parts import looks_of, named, needs_loops, shown, standing_out, title_of, worst_text
 
-#: what is shown of the complex plane: -1 and the unit circle with room about them
-REAL, IMAGINARY = (-3.0, 1.5), (-2.25, 2.25)
 #: error regions stand on lines with |L| within so many dB of 1: so many on the worst loop, one on some next worst
 REGION_DB, REGIONS, NEXT_WORST = 15.0, 8, 2
 #: measured lines drawn as dots, at most
@@ -43,7 +41,6 @@ DOTS = 300
 _REACH_DB, _SEEN_DB = 40.0, 0.4
 #: |L| below which, and standard deviation above which, lines are dots and no curve
 _FAR_BELOW, _VISIBLE_STD = 0.25, 0.03
-_SIZE_IN = (6.35, 4.3)  # what is left of the figure for the axes, about
 _FAINT = (NOT_VALID, "measured")
 _TICK: dict[str, Any] = {"marker": "o", "color": "black", "markerfacecolor": "white", "markersize": 3.0}
 
@@ -101,7 +98,8 @@ def nichols(
 
 def _guides(ax: Axes, one: _Curve, worst: Worst, required: Requirements | None, entries: Sequence[Entry]) -> None:
     """Words where there is room for them: notes, the worst point's name, the contours' levels."""
-    room = LabelRoom(ax, _SIZE_IN)
+    size_in = (6.35, 4.3)  # what is left of the figure for the axes, about
+    room = LabelRoom(ax, size_in)
     closest = None if required is None else closest_db(required)
     if required is None:
         centre_marks(ax)
@@ -255,7 +253,9 @@ def nyquist(
     if radius := _radius(requirements):
         ax.add_patch(Circle((-1.0, 0.0), radius, facecolor=LIMIT, alpha=0.2, edgecolor="none", gid="forbidden"))
     ax.plot([-1.0], [0.0], "+", color="black", markersize=7.0)
-    ax.set(xlim=REAL, ylim=IMAGINARY, xlabel="real part of L", ylabel="imaginary part of L", aspect="equal")
+    # what is shown of the complex plane: -1 and the unit circle with room about them
+    real, imaginary = (-3.0, 1.5), (-2.25, 2.25)
+    ax.set(xlim=real, ylim=imaginary, xlabel="real part of L", ylabel="imaginary part of L", aspect="equal")
     ax.set_title(title_of("Nyquist plot", loops), loc="left", fontsize=9.0)
     return ax
 

@@ -40,7 +40,6 @@ from loopshape.view.verdict.verdicts import (
 
 #: levels of |S| in dB that part the colours; the limit takes the place of one near it
 LEVELS_DB = (-30.0, -20.0, -10.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0, 12.0)
-_GAP = 4.0  # lines further apart than so many times their neighbours leave a gap
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +164,7 @@ def cells(frequency_hz: Array, values: Array) -> tuple[Array, Array]:
         return np.array([f[0] / 1.03, f[0] * 1.03]), np.asarray(values)
     middle, step = np.sqrt(f[1:] * f[:-1]), np.diff(f)
     around = np.minimum(np.append(step[1:], step[-1]), np.insert(step[:-1], 0, step[0]))
-    gap = step > _GAP * around
+    gap = step > 4.0 * around  # lines further apart than so many times their neighbours leave a gap
     low, high = f[:-1] + np.minimum(0.5 * around, 0.5 * step), f[1:] - np.minimum(0.5 * around, 0.5 * step)
     edges, out = [max(f[0] - 0.5 * step[0], f[0] / (middle[0] / f[0]))], []
     for k, value in enumerate(values):

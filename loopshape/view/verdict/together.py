@@ -21,7 +21,6 @@ from loopshape.view.plots.curves import draw_band, fit_decibels, frequency_axis
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, LIMIT, QUIET, axes_or_new, head, new_figure, styled
 
 _CIRCLE = np.exp(1j * np.linspace(0.0, TWO_PI, 361))
-_LEVELS = (1.0, 10.0, 100.0)
 
 
 @styled()
@@ -48,7 +47,8 @@ def determinant(loops: Loop, *, ax: Axes | None = None) -> Axes:
     drawn = _shrunk(loops.determinant)
     ax.plot(drawn.real, drawn.imag, color=COLOURS[0], gid="det(I + L)")
     ax.plot(drawn.real[:1], drawn.imag[:1], "o", color=COLOURS[0], markersize=3.5, gid="first line")
-    for level in _LEVELS:
+    levels = (1.0, 10.0, 100.0)
+    for level in levels:
         circle = _shrunk(level * _CIRCLE)
         ax.plot(circle.real, circle.imag, color="0.6", linewidth=0.6, zorder=1.5, scalex=False, scaley=False)
         at = _shrunk(np.array([level * np.exp(0.25j * np.pi)]))[0]

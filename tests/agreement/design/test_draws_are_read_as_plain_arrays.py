@@ -10,7 +10,7 @@ from loopshape.data.response.smoothed import BETWEEN, Dense, by_draw, spread
 from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.search import LARGEST, PENALTY, Goal, initial_point, linear
 from loopshape.design.starts import glanced
-from loopshape.loop.margin.margins import Reader
+from loopshape.loop.margin.margins import Reader, kernel
 
 F = np.geomspace(0.1, 100.0, 60)
 P = 5.0 / (1j * F * (1.0 + 0.1j * F))
@@ -59,8 +59,9 @@ def test_margins_of_draws_are_those_of_each_loop(bounded: bool) -> None:
     C = 2.0 * (1.0 + 0.2j * F) / (1.0 + 0.01j * F)
     draws, above = 0.05 * np.abs(P) * drawn(np.random.default_rng(3), 40, F.size), np.geomspace(100.0, 400.0, 9)[1:]
     reader = Reader(20.0, (ls.Mask("S", ((1.0, -10.0), (3.0, 3.0))),))
-    one_by_one, _ = reader.read(F, C * P + C * draws, C, above, C[-8:], bounded=bounded)
-    at_once = reader.read_drawn(F, C * P, C, by_draw(draws), C, above, C[-8:], bounded=bounded)
+    lines = kernel.Lines(F, C, above, C[-8:])
+    one_by_one, _ = reader.read(C * P + C * draws, lines, bounded=bounded)
+    at_once = reader.read_drawn(C * P, C, by_draw(draws), lines, bounded=bounded)
     np.testing.assert_allclose(at_once, one_by_one, rtol=1e-9)
 
 

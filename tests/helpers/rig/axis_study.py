@@ -11,7 +11,7 @@ from python_target_machine import Axes
 import loopshape as ls
 from loopshape.cli.output import Output
 from loopshape.core.kernels import scheduled
-from loopshape.core.kernels.noise import start_state
+from loopshape.toolbox.gap.noise import start_state
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment as experiment_of

@@ -13,7 +13,7 @@ from loopshape.design.growth import Stage
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.rows import DIP
 from loopshape.design.starts import neutral
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 
 LIMITS = {"sensitivity_peak_db": 6.0, "control_peak_db": 20.0}
 
@@ -25,11 +25,11 @@ def plant():
 
 @pytest.fixture(scope="module")
 def grown(plant):
-    return tune([plant], required(GAIN, LEAD, **LIMITS), starts=2, explain=False, grow=1)
+    return tune([plant], required(GAIN, LEAD, **LIMITS), explain=False, search=Search(starts=2, grow=1))
 
 
 def test_each_step_gains_and_the_first_is_the_tuning_without_growth(plant, grown):
-    alone = tune([plant], required(GAIN, LEAD, **LIMITS), starts=2, explain=False)
+    alone = tune([plant], required(GAIN, LEAD, **LIMITS), explain=False, search=Search(starts=2))
     assert grown.growth[0].added == ""
     assert grown.growth[0].bandwidth_hz == alone.bandwidth_hz
     found = [step.bandwidth_hz for step in grown.growth]
@@ -44,7 +44,9 @@ def test_what_is_grown_passes_a_check_of_its_own(plant, grown):
 
 
 def test_growth_stops_below_the_stated_gain(plant):
-    found = tune([plant], required(GAIN, LEAD, **LIMITS), starts=2, explain=False, grow=1, least_gain=50.0)
+    found = tune(
+        [plant], required(GAIN, LEAD, **LIMITS), explain=False, search=Search(starts=2, grow=1, least_gain=50.0)
+    )
     assert len(found.growth) == 1
     assert len(found.controller.blocks) == 2
 

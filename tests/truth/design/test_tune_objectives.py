@@ -7,7 +7,7 @@ from tune_plants import DELAYED, GAIN, LEAD, LOW_PASS, NOTCH, PI, RATE, frf, pro
 
 import loopshape as ls
 from loopshape.design.problem.measures import measure
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 
 LOW = {"disturbance": 1.0, "disturbance_below_hz": 3.0}
 NEAR = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0}
@@ -47,7 +47,9 @@ def test_each_objective_is_the_best_at_its_own_and_a_weighted_one_between():
     blocks, plants = (GAIN, LEAD, PI, NOTCH, LOW_PASS), servos(lines=200)
     limits = NEAR | {"control_peak_db": 10.0}
     kinds = ("bandwidth", LOW | {"bandwidth": 0.7}, LOW)
-    made = [tune(plants, required(*blocks, **limits, objective=kind), starts=8, draws=30) for kind in kinds]
+    made = [
+        tune(plants, required(*blocks, **limits, objective=kind), search=Search(starts=8, draws=30)) for kind in kinds
+    ]
     assert all(one.feasible for one in made)
     hz = [one.bandwidth_hz for one in made]
     down = [min(mean_rejection_db(plant, one.controller, 3.0) for plant in plants) for one in made]

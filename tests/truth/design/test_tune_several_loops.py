@@ -8,7 +8,7 @@ from bench_nouns import Block
 from two_axes import RATE, F, matrix
 
 import loopshape as ls
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 from loopshape.design.turns import tune_loops
 
 
@@ -31,7 +31,7 @@ def required(name, **limits):
 WISHES = (required("a"), required("b"))
 WHOLE = ls.Requirements(unstable_poles=0)
 START = 2 * (ls.Controller("a", (Block("gain", {"gain": 20.0}),), RATE),)
-FEW = {"starts": 4, "draws": 20, "together": WHOLE}
+FEW = {"search": Search(starts=4, draws=20), "together": WHOLE}
 
 
 def test_loops_that_do_not_meet_are_tuned_as_each_alone():
@@ -45,7 +45,7 @@ def test_loops_that_do_not_meet_are_tuned_as_each_alone():
             F, own.response[:, k : k + 1, k : k + 1], own.covariance[:, :1, :1], own.valid, ("z",), ("y",), "known",
             "one", wish.loop, RATE,
         )  # fmt: skip
-        alone = tune([part], replace(wish, unstable_poles=0), starts=4, draws=20)
+        alone = tune([part], replace(wish, unstable_poles=0), search=Search(starts=4, draws=20))
         assert found.tunings[wish.loop].bandwidth_hz == pytest.approx(alone.bandwidth_hz, rel=1e-3)
 
 
@@ -72,7 +72,7 @@ def test_tuned_alone_they_fail_together(coupled):
 
 def test_at_rest_no_loop_improves_alone(coupled):
     frfs, found = coupled
-    again = tune_loops(frfs, WISHES, found.controllers, rounds=1, starts=1)
+    again = tune_loops(frfs, WISHES, found.controllers, search=Search(rounds=1, starts=1))
     for turn in again.turns:
         assert turn.tuning.bandwidth_hz == pytest.approx(found.tunings[turn.loop].bandwidth_hz, rel=3e-3)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from detuned_plants import ASKED, CANCELLED, closed, frf_of
 
-from loopshape.design.tune import tune
+from loopshape.design.tune import Search, tune
 
 LINES = np.concatenate([np.arange(2.0, 45.0), np.arange(45.0, 75.0, 0.25), np.geomspace(75.0, 900.0, 70)])
 
@@ -52,5 +52,7 @@ def test_a_bandwidth_that_only_a_cancelling_controller_reaches_is_not_passed(pla
 @pytest.mark.long
 def test_same_input_and_seed_give_the_same_controller():
     asked = replace(ASKED, detuning_percent=2.0)
-    one, two = (tune([frf_of(CANCELLED, LINES, 1e-3)], asked, starts=2, draws=8, explain=False) for _ in range(2))
+    one, two = (
+        tune([frf_of(CANCELLED, LINES, 1e-3)], asked, explain=False, search=Search(starts=2, draws=8)) for _ in range(2)
+    )
     assert [dict(b.parameters) for b in one.controller.blocks] == [dict(b.parameters) for b in two.controller.blocks]

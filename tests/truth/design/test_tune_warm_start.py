@@ -10,7 +10,7 @@ from tune_plants import GAIN, LEAD, LOW_PASS, NOTCH, RATE, problem_of, required,
 import loopshape as ls
 from loopshape.design.search import initial_point
 from loopshape.design.tighten import TightenedSolution
-from loopshape.design.tune import _no_worse, tune, warm_start
+from loopshape.design.tune import Search, _no_worse, tune, warm_start
 
 LIMITS = {"sensitivity_peak_db": 6.0, "phase_margin_deg": 30.0, "gain_margin_db": 6.0, "control_peak_db": 10.0}
 BLOCKS = (GAIN, LEAD, NOTCH, LOW_PASS)
@@ -50,7 +50,7 @@ def test_the_kth_of_a_kind_stands_for_the_kth():
 
 def test_alone_it_improves_locally_and_the_same_each_time():
     assert ls.check(PLANTS, SLOW, ASKED).passed
-    found, again = (tune(PLANTS, ASKED, start=SLOW, starts=1, seed=seed) for seed in (0, 7))
+    found, again = (tune(PLANTS, ASKED, start=SLOW, search=Search(starts=1, seed=seed)) for seed in (0, 7))
     assert found.feasible
     assert found.starts == 1
     assert found.bandwidth_hz > 1.5 * slowest(SLOW)
@@ -61,7 +61,7 @@ def test_alone_it_improves_locally_and_the_same_each_time():
 def test_the_best_known_is_never_made_worse():
     best = tune(PLANTS, ASKED).controller
     for starts in (1, 3):
-        found = tune(PLANTS, ASKED, start=best, starts=starts, draws=4)
+        found = tune(PLANTS, ASKED, start=best, search=Search(starts=starts, draws=4))
         assert found.feasible
         assert found.bandwidth_hz >= slowest(best) * (1.0 - 1e-12)
 
@@ -89,11 +89,12 @@ def test_what_is_worse_than_a_start_that_passes_gives_way_to_it():
 
 def test_it_runs_as_the_start_runs():
     start = replace(SLOW, prewarp_hz=70.0, computation_delay_s=2e-4, precision="single")
-    found = tune(PLANTS, ASKED, start=start, starts=1).controller
+    found = tune(PLANTS, ASKED, start=start, search=Search(starts=1)).controller
     assert (found.prewarp_hz, found.computation_delay_s, found.precision) == (70.0, 2e-4, "single")
     late = replace(SLOW, computation_delay_s=1e-3)
     assert (
-        tune(PLANTS, ASKED, start=late, starts=1).bandwidth_hz < tune(PLANTS, ASKED, start=SLOW, starts=1).bandwidth_hz
+        tune(PLANTS, ASKED, start=late, search=Search(starts=1)).bandwidth_hz
+        < tune(PLANTS, ASKED, start=SLOW, search=Search(starts=1)).bandwidth_hz
     )
 
 

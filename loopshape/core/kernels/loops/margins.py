@@ -5,6 +5,8 @@ Every number is in the unit in which its error is nearest to normal: dB, degrees
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from loopshape.core.kernels.compiled import Array, ComplexArray, compiled, compiled_reading
@@ -29,6 +31,67 @@ AT_ZERO = 1e-4
 #: |L| from which on, at its first line, margins and peaks below it say nothing that is looked for
 LARGE = 10.0
 _TINY = 1e-300
+
+
+class Lines(NamedTuple):
+    """Frequencies in Hz and C on them (nf,), and both above the last line, where no L was measured."""
+
+    f: Array
+    C: ComplexArray
+    f_above: Array
+    C_above: ComplexArray
+
+
+class Asked(NamedTuple):
+    """What is read of a loop besides its margins, and what counts where it was not measured.
+
+    |CS| counts as high from `from_hz` on. `masks` (10, nf) and `masks_above` weigh squared magnitudes (`_over_masks`),
+    with no rows where nothing is weighed. What |L| may do above the last line, below its last value, or `least` where
+    that is more, counts where `bounded` is true; without it the answer is the best that may be. So does what it may do
+    below the first line, above its value there, where `below` is true as well.
+    """
+
+    from_hz: float
+    masks: Array
+    masks_above: Array
+    bounded: bool
+    below: bool
+    least: float
+
+
+# Kernels make them so and not by their names: what is only read then has the form that Python's calls have.
+
+
+@compiled_reading()
+def lines_of(f: Array, C: ComplexArray, f_above: Array, C_above: ComplexArray) -> Lines:
+    """Lines."""
+    return Lines(f, C, f_above, C_above)
+
+
+@compiled_reading()
+def asked_of(from_hz: float, masks: Array, masks_above: Array, bounded: bool, below: bool) -> Asked:
+    """What is read, where nothing larger is known above the last line."""
+    return Asked(from_hz, masks, masks_above, bounded, below, 0.0)
+
+
+class _Sizes(NamedTuple):
+    """Lines with the squared magnitudes of C on them and above, and their inverse."""
+
+    f: Array
+    c2: Array
+    over_c2: Array
+    f_above: Array
+    c2_above: Array
+
+
+class _Squares(NamedTuple):
+    """Squared |S|, |T|, |C| and |L| at one frequency, and the least that |L|² may be."""
+
+    s: float
+    t: float
+    c: float
+    l: float
+    least: float
 
 
 @compiled
@@ -101,21 +164,20 @@ def _line(
 
 
 @compiled
-def _over_masks(
-    f: float, s2: float, t2: float, c2: float, l2: float, least2: float, weights: Array, found: Array, at: Array
-) -> None:
+def _over_masks(f: float, size2: _Squares, weights: Array, found: Array, at: Array) -> None:
     """Squared excess of |S|, |T|, |CS|, |PS| and |L| over their masks at one frequency, and of the floor over |L|.
 
     `weights` (10,) are 1 over squared limits, 0 where there is none, the squared floor, and the squared weights of |S|,
-    |T|, |CS| and |PS|, which are summed; `least2` is the least |L|².
+    |T|, |CS| and |PS|, which are summed.
     """
+    s2, t2, c2 = size2.s, size2.t, size2.c
     _masked(MASK_S, s2, weights[0], f, found, at)
     _masked(MASK_T, t2, weights[1], f, found, at)
     _masked(MASK_CS, c2 * s2, weights[2], f, found, at)
     _masked(MASK_PS, t2 / max(c2, _TINY), weights[3], f, found, at)
-    _masked(MASK_L, l2, weights[4], f, found, at)
+    _masked(MASK_L, size2.l, weights[4], f, found, at)
     if weights[5] > 0.0:
-        _note(found, at, FLOOR_L, weights[5] / max(least2, _TINY), f, True)
+        _note(found, at, FLOOR_L, weights[5] / max(size2.least, _TINY), f, True)
     total = weights[6] * s2 + weights[7] * t2 + weights[8] * c2 * s2 + weights[9] * t2 / max(c2, _TINY)
     if total > 0.0:
         _note(found, at, LN_WEIGHTED, total, f, True)
@@ -138,7 +200,17 @@ def _masks_above(
             s2, t2, l2, least2 = 1.0 / room**2, (last / room) ** 2, last**2, 0.0
         else:
             s2, t2, l2, least2 = 1.0 / (1.0 + last) ** 2, 0.0, 0.0, last**2
-        _over_masks(f_above[i], s2, t2, c2_above[i], l2, least2, masks_above[:, i], found, at)
+        _over_masks(f_above[i], _Squares(s2, t2, c2_above[i], l2, least2), masks_above[:, i], found, at)
+
+
+@compiled
+def _control_above(d2: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array) -> None:
+    """|CS| above the last line, where |1 + L|² is `d2`."""
+    for i in range(f_above.size):
+        size = c2_above[i] / d2
+        _note(found, at, CONTROL_DB, size, f_above[i], True)
+        if f_above[i] >= from_hz:
+            _note(found, at, CONTROL_HIGH_DB, size, f_above[i], True)
 
 
 @compiled
@@ -151,11 +223,7 @@ def _above(
     _note(found, at, LN_MODULUS, max(1.0 - last, 0.0) ** 2, f_last, False)
     _note(found, at, LN_DISK, (max(1.0 - last, 0.0) / (1.0 + last)) ** 2, f_last, False)
     _note(found, at, COMPLEMENTARY_DB, (last / room) ** 2, f_last, True)
-    for i in range(f_above.size):
-        size = c2_above[i] / room**2
-        _note(found, at, CONTROL_DB, size, f_above[i], True)
-        if f_above[i] >= from_hz:
-            _note(found, at, CONTROL_HIGH_DB, size, f_above[i], True)
+    _control_above(room**2, f_above, c2_above, from_hz, found, at)
 
 
 @compiled
@@ -174,16 +242,6 @@ def _below(f_first: float, first: float, found: Array, at: Array) -> None:
 
 
 @compiled
-def _above_at_best(last: float, f_above: Array, c2_above: Array, from_hz: float, found: Array, at: Array) -> None:
-    """|CS| above the last line where |L| stays below `last`: no less than |C|/(1 + last)."""
-    for i in range(f_above.size):
-        size = c2_above[i] / (1.0 + last) ** 2
-        _note(found, at, CONTROL_DB, size, f_above[i], True)
-        if f_above[i] >= from_hz:
-            _note(found, at, CONTROL_HIGH_DB, size, f_above[i], True)
-
-
-@compiled
 def _finish(found: Array) -> None:
     """From squared magnitudes to dB and logarithms."""
     for column in LARGEST:
@@ -194,71 +252,39 @@ def _finish(found: Array) -> None:
 
 
 @compiled_reading()
-def read_margins(
-    f: Array,
-    L: ComplexArray,
-    C: ComplexArray,
-    f_above: Array,
-    C_above: ComplexArray,
-    from_hz: float,
-    bounded: bool,
-    masks: Array,
-    masks_above: Array,
-    below: bool = True,
-    least: float = 0.0,
-) -> tuple[Array, Array]:
-    """Margins (loops, COLUMNS) of open loops L (loops, nf) under C (nf,), and the frequencies in Hz where they lie.
+def read_margins(L: ComplexArray, lines: Lines, asked: Asked) -> tuple[Array, Array]:
+    """Margins (loops, COLUMNS) of open loops L (loops, nf), and the frequencies in Hz where they lie.
 
-    `f_above` and `C_above` go on above the last line; |CS| counts as high from `from_hz` on. What |L| may do there,
-    below its last value, or `least` where that is more, counts where `bounded` is true; without it the answer is the
-    best that may be. So does what it may do below the first line, above its value there, where `below` is true as
-    well. `masks` (10, nf) and `masks_above` weigh squared magnitudes (`_over_masks`), with no rows where nothing is
-    weighed. +-inf where the loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of
-    sight.
+    +-inf where the loop never comes to what a margin is about; ln of a bandwidth is -inf where it is out of sight.
     """
     found, at = np.empty((len(L), COLUMNS)), np.full((len(L), COLUMNS), np.nan)
+    C, C_above = lines.C, lines.C_above
     c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
     over_c2 = 1.0 / c2
     for b in range(len(L)):
-        _read(
-            f, L[b], c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at[b], below, least
-        )
+        _read(L[b], _Sizes(lines.f, c2, over_c2, lines.f_above, c2_above), asked, found[b], at[b])
     return found, at
 
 
 @compiled
-def read_drawn(
-    f: Array,
-    reference: ComplexArray,
-    factor: ComplexArray,
-    draws: ComplexArray,
-    C: ComplexArray,
-    f_above: Array,
-    C_above: ComplexArray,
-    from_hz: float,
-    bounded: bool,
-    masks: Array,
-    masks_above: Array,
-    least: float = 0.0,
-) -> Array:
+def read_drawn(reference: ComplexArray, factor: ComplexArray, draws: ComplexArray, lines: Lines, asked: Asked) -> Array:
     """Margins (draws, COLUMNS) of `reference` (nf,) and `factor` (nf,) times each of `draws` (draws, nf)."""
-    found, at, L = np.empty((len(draws), COLUMNS)), np.empty(COLUMNS), np.empty(f.size, dtype=np.complex128)
+    C, C_above = lines.C, lines.C_above
+    found, at, L = np.empty((len(draws), COLUMNS)), np.empty(COLUMNS), np.empty(lines.f.size, dtype=np.complex128)
     c2, c2_above = C.real**2 + C.imag**2, C_above.real**2 + C_above.imag**2
     over_c2 = 1.0 / c2
     for b in range(len(draws)):
         mine = draws[b]
-        for k in range(f.size):
+        for k in range(lines.f.size):
             L[k] = reference[k] + factor[k] * mine[k]
-        _read(f, L, c2, over_c2, f_above, c2_above, from_hz, bounded, masks, masks_above, found[b], at, True, least)
+        _read(L, _Sizes(lines.f, c2, over_c2, lines.f_above, c2_above), asked, found[b], at)
     return found
 
 
 @compiled_reading("found", "at")
-def _read(
-    f: Array, L: ComplexArray, c2: Array, over_c2: Array, f_above: Array, c2_above: Array, from_hz: float,
-    bounded: bool, masks: Array, masks_above: Array, found: Array, at: Array, below: bool = True, least: float = 0.0,
-) -> None:  # fmt: skip
-    """Margins of one loop into `found` (COLUMNS,), and where they lie into `at`; |C|² on the lines and above them."""
+def _read(L: ComplexArray, sizes: _Sizes, asked: Asked, found: Array, at: Array) -> None:
+    """Margins of one loop into `found` (COLUMNS,), and where they lie into `at`."""
+    f, c2, over_c2 = sizes.f, sizes.c2, sizes.over_c2
     found[:] = np.inf
     for column in LARGEST:
         found[column] = -np.inf
@@ -268,9 +294,9 @@ def _read(
     for k in range(f.size):
         now = L[k]
         size = now.real**2 + now.imag**2
-        s2, t2 = _line(f[k], now, size, c2[k], over_c2[k], f[k] >= from_hz, found, at)
-        if masks.shape[0]:
-            _over_masks(f[k], s2, t2, c2[k], size, size, masks[:, k], found, at)
+        s2, t2 = _line(f[k], now, size, c2[k], over_c2[k], f[k] >= asked.from_hz, found, at)
+        if asked.masks.shape[0]:
+            _over_masks(f[k], _Squares(s2, t2, c2[k], size, size), asked.masks[:, k], found, at)
         if k > 0:
             _chord(f[k - 1], f[k], L[k - 1], now, found, at)
             if (before_size >= 1.0) != (size >= 1.0):
@@ -295,26 +321,22 @@ def _read(
         found[LN_SENSITIVITY_HZ] = np.log(f[f.size - 1])
     if before_t >= 0.5:
         found[LN_COMPLEMENTARY_HZ] = np.log(f[f.size - 1])
-    if below and bounded and f.size > 1 and f[0] > AT_ZERO * f[1]:
+    if asked.below and asked.bounded and f.size > 1 and f[0] > AT_ZERO * f[1]:
         _below(f[0], abs(L[0]), found, at)
-    _read_above(
-        f[f.size - 1], max(np.sqrt(before_size), least), f_above, c2_above, from_hz, bounded, masks.shape[0] > 0,
-        masks_above, found, at,
-    )  # fmt: skip
+    _read_above(max(np.sqrt(before_size), asked.least), sizes, asked, found, at)
     _finish(found)
 
 
 @compiled
-def _read_above(
-    f_last: float, size: float, f_above: Array, c2_above: Array, from_hz: float, bounded: bool, masked: bool,
-    masks_above: Array, found: Array, at: Array,
-) -> None:  # fmt: skip
+def _read_above(size: float, sizes: _Sizes, asked: Asked, found: Array, at: Array) -> None:
     """What lies above the last line, where |L| is `size`."""
-    if bounded and size >= 1.0:
+    f_last, f_above, c2_above, from_hz = sizes.f[sizes.f.size - 1], sizes.f_above, sizes.c2_above, asked.from_hz
+    last = size if asked.bounded else min(size, 1.0)
+    if asked.bounded and size >= 1.0:
         found[PHASE_DEG], found[LN_DELAY_S] = 0.0, -np.inf
-    if bounded:
-        _above(f_last, size, f_above, c2_above, from_hz, found, at)
+    if asked.bounded:
+        _above(f_last, last, f_above, c2_above, from_hz, found, at)
     else:
-        _above_at_best(min(size, 1.0), f_above, c2_above, from_hz, found, at)
-    if masked:
-        _masks_above(size if bounded else min(size, 1.0), f_above, c2_above, masks_above, bounded, found, at)
+        _control_above((1.0 + last) ** 2, f_above, c2_above, from_hz, found, at)
+    if asked.masks.shape[0] > 0:
+        _masks_above(last, f_above, c2_above, asked.masks_above, asked.bounded, found, at)

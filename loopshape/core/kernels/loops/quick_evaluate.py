@@ -8,7 +8,7 @@ import numpy as np
 
 from loopshape.core.kernels.compiled import Array, ComplexArray, compiled
 from loopshape.core.kernels.loops.flat_loops import all_stable
-from loopshape.core.kernels.loops.margins import COLUMNS, LN_BANDWIDTH_HZ, LN_WEIGHTED, read_margins
+from loopshape.core.kernels.loops.margins import COLUMNS, LN_BANDWIDTH_HZ, LN_WEIGHTED, asked_of, lines_of, read_margins
 
 #: a bound that is missed by more than this (ln or rad) is missed by so much
 _WORST = 30.0
@@ -72,10 +72,9 @@ def quick_evaluate(
         mine, own = L[a:b], np.empty(b - a, dtype=np.complex128)
         for k in range(b - a):
             own[k] = gain * C[q.line[a + k]]
-        found, _ = read_margins(
-            q.f[a:b], mine.reshape(1, b - a), own, q.f_above[start:], gain * above[start:], q.from_hz, True,
-            q.masks[:, a:b].copy(), q.masks_above[p][:, start:].copy(), False, 0.0,
-        )  # fmt: skip
+        masks, masks_above = q.masks[:, a:b].copy(), q.masks_above[p][:, start:].copy()
+        lines = lines_of(q.f[a:b], own, q.f_above[start:], gain * above[start:])
+        found, _ = read_margins(mine.reshape(1, b - a), lines, asked_of(q.from_hz, masks, masks_above, True, False))
         room = min(room, _room(q, p, found[0]), _sure(q, p, mine, own))
         slowest = min(slowest, _bandwidth(q, p, mine, found[0, LN_BANDWIDTH_HZ]))
         least = min(least, _rejection(q.low[a:b], mine))

@@ -5,6 +5,8 @@ For a dozen of variables and some hundred rows: a general solver spends most of 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from loopshape.core.kernels.compiled import Array, compiled
@@ -80,18 +82,37 @@ def boxed_lp(cost: Array, A: Array, b: Array, low: Array, high: Array) -> tuple[
     return y, multipliers, outcome
 
 
+class Terms(NamedTuple):
+    """Terms that are each made large, of `weights` (terms,): values (k,), which move by `slopes` (k, n).
+
+    A term is no larger than its values, those of which `term` (k,) is its number.
+    """
+
+    value: Array
+    slopes: Array
+    term: np.ndarray
+    weights: Array
+
+
+class Rooms(NamedTuple):
+    """Rooms (m,) of limits, which move by `slopes` (m, n): below zero by the soft miss at most where `soft` (m,)."""
+
+    value: Array
+    slopes: Array
+    soft: np.ndarray
+
+
 @compiled
 def linearised(
-    value: Array, slopes: Array, term: np.ndarray, weights: Array, room: Array, room_slopes: Array, soft: np.ndarray,
-    low: Array, high: Array, penalty: float,
-) -> tuple[Array, Array, Array, Array, Array]:  # fmt: skip
+    made_large: Terms, rooms: Rooms, low: Array, high: Array, penalty: float
+) -> tuple[Array, Array, Array, Array, Array]:
     """Cost, A, b, low and high of a linear programme in y = (dx, terms, soft miss, hard miss), as `boxed_lp` takes it.
 
-    Each of the terms, of `weights` (terms,), is made large and is no larger than its values (k,), which belong to
-    `term` (k,) and move by `slopes` (k, n); rooms (m,) move by `room_slopes` (m, n) and fall below zero by the soft
-    miss at most where `soft` (m,), else by the hard one, which costs `penalty`. Rooms that no dx between `low` and
-    `high` (n,) brings below zero are left out.
+    Rooms that are not soft fall below zero by the hard miss at most, which costs `penalty`. Those that no dx between
+    `low` and `high` (n,) brings below zero are left out.
     """
+    value, slopes, term, weights = made_large
+    room, room_slopes, soft = rooms
     n, terms, m = low.size, weights.size, room.size
     deepest, kept = 0.0, np.empty(m, dtype=np.bool_)
     for k in range(m):

@@ -59,10 +59,48 @@ class Flat(NamedTuple):
     by_C: Array  # noqa: N815
 
 
+class Magnitudes(NamedTuple):
+    """Limits on magnitudes: `kinds` (nq,) below `level` (nq, points), in ln, from `from_hz` (nq,) on.
+
+    Quantity q is held against row `masked`[q] of `masks` (ln), none below 0, and goes on above the last lines as
+    `above`[q] says.
+    """
+
+    kinds: np.ndarray
+    level: Array
+    from_hz: Array
+    above: np.ndarray
+    masks: Array
+    masked: np.ndarray
+
+
+class Place(NamedTuple):
+    """Where a row lies: quantity, flat line and operating point."""
+
+    q: int
+    at: int
+    p: int
+
+
+class Crossing(NamedTuple):
+    """Where ln |L| passes 0: after flat line `at` of point `p`, at a `share` of the way to the next.
+
+    L turns by `turn` rad over `span` in ln f there. The crossing lies at `ln_f` and moves by Re(move d ln C).
+    """
+
+    at: int
+    p: int
+    share: float
+    turn: float
+    span: float
+    ln_f: float
+    move: float
+
+
 @compiled
-def _put(out: Out, n: int, q: int, at: int, p: int, value: float, i: int, a: complex, j: int, b: complex) -> int:
+def _put(out: Out, n: int, place: Place, value: float, i: int, a: complex, j: int, b: complex) -> int:
     row = out.places[n]
-    row[0], row[1], row[2], row[3], row[4] = q, at, p, i, j
+    row[0], row[1], row[2], row[3], row[4] = place.q, place.at, place.p, i, j
     out.value[n] = value
     out.ab[n, 0], out.ab[n, 1] = a, b
     return n + 1
@@ -161,49 +199,25 @@ def _control_above(x: Flat, q: int, level: Array, from_hz: float, out: Out, n: i
             tightest, least, start_there, slope_there = p, left, start, slope
         if start < above:
             k = best[start]
-            n = _put(
-                out,
-                n,
-                q,
-                x.f.size + k,
-                p,
-                left - x.ln_C[x.above + k],
-                x.above + k,
-                -1.0 + 0.0j,
-                x.line[last],
-                complex(-slope),
-            )
+            place, room = Place(q, x.f.size + k, p), left - x.ln_C[x.above + k]
+            n = _put(out, n, place, room, x.above + k, -1.0 + 0.0j, x.line[last], complex(-slope))
     last = x.first[tightest + 1] - 1
     if start_there < above:
         most = x.ln_C[x.above + best[start_there]]
         for k in range(start_there, above):
             size = x.ln_C[x.above + k]
             if size > most - _NEAR:
-                n = _put(
-                    out,
-                    n,
-                    q,
-                    x.f.size + k,
-                    tightest,
-                    least - size,
-                    x.above + k,
-                    -1.0 + 0.0j,
-                    x.line[last],
-                    complex(-slope_there),
-                )
+                place = Place(q, x.f.size + k, tightest)
+                n = _put(out, n, place, least - size, x.above + k, -1.0 + 0.0j, x.line[last], complex(-slope_there))
     return n
 
 
 @compiled
 def magnitude_rows(
-    x: Flat, kinds: np.ndarray, level: Array, from_hz: Array, above: np.ndarray, masks: Array, masked: np.ndarray,
-    far: float, plateau: float, every: int,
-) -> tuple[np.ndarray, Array, ComplexArray]:  # fmt: skip
-    """Rows of limits on magnitudes: `kinds` (nq,) below `level` (nq, points), in ln, from `from_hz` (nq,) on.
-
-    Quantity q is held against row `masked`[q] of `masks` (ln), none below 0, and goes on above the last lines as
-    `above`[q] says. Rows lie at peaks no more than `far` below the level, as `mark_peaks` chooses.
-    """
+    x: Flat, limits: Magnitudes, far: float, plateau: float, every: int
+) -> tuple[np.ndarray, Array, ComplexArray]:
+    """Rows of limits on magnitudes, at peaks no more than `far` below the level, as `mark_peaks` chooses."""
+    kinds, level, from_hz, above, masks, masked = limits
     lines, points = x.ln_L.size, x.first.size - 1
     sizes, chosen = np.empty((kinds.size, lines)), np.zeros((kinds.size, lines), dtype=np.bool_)
     room, none = kinds.size * 2 * (points + x.f_above.size), np.empty(0)
@@ -220,11 +234,11 @@ def magnitude_rows(
                 if mine[k]:
                     column = line[k]
                     a = _norm_by_ln_C(x, k) if kinds[q] == NORM else _by_ln_L(kinds[q], L[k])
-                    n = _put(out, n, q, k, p, level[q, p] - sizes[q, k], column, a, column, 0.0j)
+                    n = _put(out, n, Place(q, k, p), level[q, p] - sizes[q, k], column, a, column, 0.0j)
             if above[q] == STAYS and kinds[q] != CS:
                 last = x.first[p + 1] - 1
                 value, slope = _stays(x, kinds[q], level[q, p], last)
-                n = _put(out, n, q, last, p, value, x.line[last], complex(slope), x.line[last], 0.0j)
+                n = _put(out, n, Place(q, last, p), value, x.line[last], complex(slope), x.line[last], 0.0j)
         if above[q] == STAYS and kinds[q] == CS and x.f_above.size:
             n = _control_above(x, q, level[q], from_hz[q], out, n)
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy()
@@ -243,7 +257,7 @@ def end_rows(
     out = Out(np.empty((room, 5), dtype=np.int64), np.empty(room), np.empty((room, 2), dtype=np.complex128))
     for p in range(points):
         k = x.first[p + 1] - 1
-        n = _put(out, n, q, k, p, -_SURE - x.ln_L[k], x.line[k], -1.0 + 0.0j, x.line[k], 0.0j)
+        n = _put(out, n, Place(q, k, p), -_SURE - x.ln_L[k], x.line[k], -1.0 + 0.0j, x.line[k], 0.0j)
         k = x.first[p] + x.below[p]
         column = x.line[k]
         if blind[p]:
@@ -253,17 +267,17 @@ def end_rows(
             if unstable[p] % 2 == 1:
                 ahead = -ahead
             swing = np.arctan2(ahead.imag, ahead.real)
-            n = _put(out, n, q, k, p, fit - _SURE - abs(swing), column, 1j * np.sign(swing), column, 0.0j)
+            n = _put(out, n, Place(q, k, p), fit - _SURE - abs(swing), column, 1j * np.sign(swing), column, 0.0j)
         if unfitted[p]:
-            n = _put(out, n, q, k, p, x.ln_L[k] - _SURE, column, 1.0 + 0.0j, column, 0.0j)
+            n = _put(out, n, Place(q, k, p), x.ln_L[k] - _SURE, column, 1.0 + 0.0j, column, 0.0j)
     return out.places[:n].copy(), out.value[:n].copy(), out.ab[:n].copy()
 
 
 @compiled
-def _put_between(x: Flat, out: Out, n: int, q: int, at: int, p: int, value: float, share: float, by: complex) -> int:
-    """A row at a share of the way from flat line `at` to the next, moving with ln C there by a factor."""
-    j = x.line[min(at + 1, x.ln_L.size - 1)]
-    return _put(out, n, q, at, p, value, x.line[at], (1.0 - share) * by, j, share * by)
+def _put_between(x: Flat, out: Out, n: int, place: Place, value: float, share: float, by: complex) -> int:
+    """A row at a share of the way from its flat line to the next, moving with ln C there by a factor."""
+    j = x.line[min(place.at + 1, x.ln_L.size - 1)]
+    return _put(out, n, place, value, x.line[place.at], (1.0 - share) * by, j, share * by)
 
 
 @compiled_in_line
@@ -300,7 +314,7 @@ def crossing_rows(
                 break
             ahead = x.ln_L[k + 1]
             if not fallen and k > a and 0.0 < here < shallow and here <= x.ln_L[k - 1] and here < ahead:
-                n = _put_between(x, out, n, 4, k, p, here - dip[p], 0.0, 1.0 + 0.0j)
+                n = _put_between(x, out, n, Place(4, k, p), here - dip[p], 0.0, 1.0 + 0.0j)
             if here * ahead < 0.0:
                 rise, span = ahead - here, x.ln_f[k + 1] - x.ln_f[k]
                 s, turn = -here / rise, _angle(x.L[k + 1] / x.L[k])
@@ -308,12 +322,12 @@ def crossing_rows(
                 if not crossed and x.ln_L[a] >= 0.0:
                     at, share, value, move = k, s, ln_f, by
                 crossed = True
-                n = _phase_rows(x, out, n, k, p, s, turn, ln_f, by, span, phase[p], delay[p])
+                n = _phase_rows(x, out, n, Crossing(k, p, s, turn, span, ln_f, by), phase[p], delay[p])
             y0, y1 = x.L[k].imag, x.L[k + 1].imag
             if y0 * y1 <= 0.0 and (x.L[k].real < 0.0 or x.L[k + 1].real < 0.0):
                 n = _gain_rows(x, out, n, k, p, gain[p], reduction[p])
         if not np.isnan(gain[p]):
-            n = _put_between(x, out, n, 2, b - 1, p, -x.ln_L[b - 1] - gain[p], 0.0, -1.0 + 0.0j)
+            n = _put_between(x, out, n, Place(2, b - 1, p), -x.ln_L[b - 1] - gain[p], 0.0, -1.0 + 0.0j)
         wide[p] = value
         j = min(at + 1, lines - 1)
         wide_at[p, 0], wide_at[p, 1], wide_at[p, 2], wide_at[p, 3] = at, p, x.line[at], x.line[j]
@@ -322,22 +336,20 @@ def crossing_rows(
 
 
 @compiled
-def _phase_rows(
-    x: Flat, out: Out, n: int, k: int, p: int, share: float, turn: float, ln_f: float, move: float, span: float,
-    phase: float, delay: float,
-) -> int:  # fmt: skip
+def _phase_rows(x: Flat, out: Out, n: int, crossing: Crossing, phase: float, delay: float) -> int:
     """Rows of the phase and the delay margin at a 0 dB crossing."""
+    k, p, share, turn, span, ln_f, move = crossing
     ahead = (_angle(x.L[k]) + share * turn + np.pi) % (2.0 * np.pi)  # rotation by lag onto -1
     by = -1j + turn / span * move  # d phase = Re(by d ln C)
     if not np.isnan(phase):
         if ahead <= np.pi:
-            n = _put_between(x, out, n, 0, k, p, ahead - phase, share, by)
+            n = _put_between(x, out, n, Place(0, k, p), ahead - phase, share, by)
         else:
-            n = _put_between(x, out, n, 0, k, p, 2.0 * np.pi - ahead - phase, share, -by)
+            n = _put_between(x, out, n, Place(0, k, p), 2.0 * np.pi - ahead - phase, share, -by)
     if not np.isnan(delay):
         ahead = max(ahead, 1e-12)
         value = np.log(ahead / (2.0 * np.pi)) - ln_f - delay
-        n = _put_between(x, out, n, 1, k, p, value, share, by / ahead - move)
+        n = _put_between(x, out, n, Place(1, k, p), value, share, by / ahead - move)
     return n
 
 
@@ -353,9 +365,9 @@ def _gain_rows(x: Flat, out: Out, n: int, k: int, p: int, gain: float, reduction
     rise = x.ln_L[k + 1] - x.ln_L[k]
     value, by = x.ln_L[k] + share * rise, 1.0 + 1j * rise / turn
     if value <= 0.0 and not np.isnan(gain):
-        return _put_between(x, out, n, 2, k, p, -value - gain, share, -by)
+        return _put_between(x, out, n, Place(2, k, p), -value - gain, share, -by)
     if value > 0.0 and not np.isnan(reduction):
-        return _put_between(x, out, n, 3, k, p, value - reduction, share, by)
+        return _put_between(x, out, n, Place(3, k, p), value - reduction, share, by)
     return n
 
 

@@ -83,7 +83,7 @@ def _bench(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
 
 def _gap(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     """Record an arm with an effect, diagnose it without being told, and compare."""
-    from loopshape.toolbox.gap.commands.gap import diagnose_run
+    from loopshape.toolbox.gap.commands.gap import GapFiles, diagnose_run
     from loopshape.toolbox.rig.commands.measure import record
     from loopshape.toolbox.rig.files.study import read_study
 
@@ -91,7 +91,7 @@ def _gap(examples: Path, run: Path, output: Output) -> tuple[bool, list[str]]:
     figure = figures_of(run) / "gap.png"
     tables = Output(quiet=output.as_json or output.quiet)
     record(study, run, output)
-    found = diagnose_run(run, tables, save_answer=run / "gap.json", report=figure, quick=True)
+    found = diagnose_run(run, tables, GapFiles(run / "gap.json", figure), quick=True)
     return found.verdict == "+".join(sorted(read_study(study).effects)), [str(figure)]
 
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from loopshape.core.kernels import biquads, noise
+from loopshape.core.kernels import biquads
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
 from loopshape.toolbox.arm.dynamics.closed_loop import (
@@ -34,6 +34,7 @@ from loopshape.toolbox.arm.dynamics.model2 import Four, State2, moving2
 from loopshape.toolbox.arm.dynamics.pwm import pulse_s
 from loopshape.toolbox.arm.parameters import Sensors
 from loopshape.toolbox.arm.parameters2 import SHARED
+from loopshape.toolbox.gap import noise
 
 #: columns of the log, pressures in Pa: measured angles and pressures, z and u; true states after them if asked.
 #: z_p_a and z_p_c are z_pAB and z_pCD where the strategy is that of pairs

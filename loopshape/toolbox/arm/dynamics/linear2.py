@@ -22,7 +22,6 @@ OUTPUTS = np.eye(8)[[0, 1, 4, 6]]
 #: the strategy of one joint on both (5.3-5.7): columns z_theta1, z_theta2, z_pAB, z_pCD, and theta1, theta2, p_AB, p_CD
 PAIR_DECOUPLING = np.array([[0.0, 1.0, 1.0, 0.0], [0.0, -1.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0]])
 PAIR_OUTPUTS = np.vstack([np.eye(8)[[0, 1]], np.eye(8)[[4, 6]] + np.eye(8)[[5, 7]]])
-_STATES = (5, 6, 7, 8, 1, 2, 3, 4)  # places of the linear states in the kernel's
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1e5, 1e5, 1e5, 1e5])
 _STEPS = np.array([1e-5, 1e-5, 1e-3, 1e-3, 1e-4, 1e-4, 1e-4, 1e-4])  # rad, rad/s, bar
 
@@ -80,7 +79,8 @@ def linearise_pairs2(
 def _about(c: Array, x: Array) -> Linearisation2:
     shut = (False,) * 8
     columns = []
-    for place, step, unit in zip(_STATES, _STEPS, _UNITS, strict=True):
+    states = (5, 6, 7, 8, 1, 2, 3, 4)  # places of the linear states in the kernel's
+    for place, step, unit in zip(states, _STEPS, _UNITS, strict=True):
         small = np.zeros(x.size)
         small[place] = step * unit
         columns.append((_rates(c, x + small, shut) - _rates(c, x - small, shut)) / (2.0 * step))

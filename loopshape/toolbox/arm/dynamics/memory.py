@@ -23,7 +23,6 @@ ANGLE_LAG, LAG_A, LAG_B, PLAY, SLIP_JOINT, SIZE = 20, 22, 24, 26, 28, 32
 ELEMENTS = 4
 TYPICAL_PULL_N = 300.0  # |F_A| + |F_B| at which a load-dependent friction has its named level
 ROUNDS = 3  # of the valve's flow against the line's impedance; each brings it four times nearer
-NAMED_KG_S = 1e-4  # a line's flow at which its turbulent loss has its named share
 NAMED_PA = 5e4  # a muscle's pressure at which its friction has its named level
 
 
@@ -235,7 +234,8 @@ def line(c: Array, p: float, mass: float) -> tuple[float, float]:
     resistance = c[e.LINE_R] / (p + 0.5 * c[k.P_ATM2])
     lag = c[e.LINE_LAG] + resistance * c[e.LINE_V]
     if c[e.LINE_TURBULENT] > 0.0:
-        more = c[e.LINE_TURBULENT] * abs(mass) / (lag * NAMED_KG_S)
+        named_kg_s = 1e-4  # a line's flow at which its turbulent loss has its named share
+        more = c[e.LINE_TURBULENT] * abs(mass) / (lag * named_kg_s)
         resistance *= 0.5 + math.sqrt(0.25 + more)
         lag = c[e.LINE_LAG] + resistance * c[e.LINE_V]
     return lag, resistance

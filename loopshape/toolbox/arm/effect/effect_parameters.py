@@ -113,7 +113,6 @@ EFFECT_ROWS = (
     WHOLE_LATE, CREEP_LENGTH,
 ) = range(34, 101)  # fmt: skip
 
-_AIR_PA_S = 1.81e-5  # viscosity of air at 20 degrees C
 _BORE_M = 2.5e-3
 _SOUND_M_S = 343.0
 
@@ -170,11 +169,12 @@ def _line(p: Mapping[str, float]) -> dict[int, float]:
     length_m = p["hose_length_m"]
     volume_m3 = length_m * np.pi / 4.0 * _BORE_M**2
     front = p["hose_front"] if length_m > 0.0 else 0.0
+    air_pa_s = 1.81e-5  # viscosity of air at 20 degrees C
     return {
         DEAD_A: 1e-6 * p["dead_volume_a_ml"] + volume_m3,
         DEAD_B: 1e-6 * p["dead_volume_b_ml"] + volume_m3,
         LINE: _has_line(p),
-        LINE_R: 128.0 * _AIR_PA_S * length_m / (np.pi * _BORE_M**4) * _gas(p),  # over the density: times p
+        LINE_R: 128.0 * air_pa_s * length_m / (np.pi * _BORE_M**4) * _gas(p),  # over the density: times p
         LINE_V: volume_m3 / _gas(p),
         LINE_LAG: 1e-3 * p["hose_lag_ms"] + front * length_m / _SOUND_M_S,
         LINE_TURBULENT: p["hose_turbulence"],

@@ -27,10 +27,6 @@ from loopshape.identify.structures import levy
 
 #: highest order of a filter
 MOST_ORDER = 8
-#: frequencies (lines) known better than this share of the coupling's rms count alike
-ALIKE = 0.01
-#: dampings of a filter's pole pairs; a real pair has one above 1
-DAMPINGS = (0.05, 20.0)
 #: poles lie within the band times this, either way
 FARTHER = 20.0
 
@@ -162,7 +158,8 @@ def _fitted(lines: FRF, wanted: ComplexArray, variance: Array, order: int) -> tu
     s = controller(gain(1.0), rate_hz=lines.rate_hz).s_at(lines.frequency_hz)
     structure = _Stable(order, s)
     data = Data(wanted, known, lines.line_overlap, lines.variance_freedom, lines.variance_pooled)
-    weight = known + (ALIKE * size) ** 2
+    alike = 0.01  # frequencies (lines) known better than this share of the coupling's rms count alike
+    weight = known + (alike * size) ** 2
     found = solve(structure.response, structure.starts(wanted, weight), structure.bounds(), data, weight)
     slopes = structure.slopes(found.x)
     spread = np.sqrt(np.maximum(np.real(np.einsum("fi,ij,fj->f", slopes, found.covariance, slopes.conj())), 0.0))
@@ -204,7 +201,8 @@ class _Stable:
     def bounds(self) -> tuple[Array, Array]:
         """Numerators are free; poles lie within the band and `FARTHER` of it."""
         free, w = np.full(self.order + 1, np.inf), np.log([self.low / self.w0 / FARTHER, self.high / self.w0 * FARTHER])
-        pairs = [(w[k], np.log(DAMPINGS[k])) for k in (0, 1)]
+        dampings = (0.05, 20.0)  # dampings of a filter's pole pairs; a real pair has one above 1
+        pairs = [(w[k], np.log(dampings[k])) for k in (0, 1)]
         low, high = (
             np.concatenate([sign * free, np.tile(pairs[k], self.order // 2), [w[k]] * (self.order % 2)])
             for k, sign in ((0, -1.0), (1, 1.0))

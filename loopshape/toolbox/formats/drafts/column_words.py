@@ -78,7 +78,6 @@ TELLING = 3.5
 _LETTERS = "uyre"  # that stand before a word in names as yref, ymeas, ucmd
 _AXES = {"x", "y", "z"}  # behind another word: an axis of space, as in pose_z
 _INFLECTED = {"s", "es", "e", "en", "er", "ed", "ing", "n"}
-_WHOLE_STEM = 6  # letters of a known word from which on whatever begins with it is meant
 _FROM_OUTSIDE = {Role.REFERENCE, Role.INJECTED, Role.ERROR}
 #: words of what is worked out of signals, or tells of them: such a column has no part in a loop
 _NO_SIGNAL = {"psd", "asd", "csd", "spectrum", "coherence", "efficiency", "wirkungsgrad", "std", "var", "variance",
@@ -195,7 +194,8 @@ def _weight(weights: dict[str, float], word: str) -> float:
 
 def _goes_on(word: str, known: str) -> bool:
     rest = word[len(known) :]
-    return len(known) >= _WHOLE_STEM or rest in _INFLECTED or any(rest in weights for weights in _WEIGHTS.values())
+    whole_stem = 6  # letters of a known word from which on whatever begins with it is meant
+    return len(known) >= whole_stem or rest in _INFLECTED or any(rest in weights for weights in _WEIGHTS.values())
 
 
 #: letters that ASCII writes with two

@@ -42,8 +42,6 @@ from loopshape.toolbox.formats.tables.text_layout import DATE, TextLayout, read_
 
 #: columns that a draft holds, of an array that counts as signals, and among which parts are looked for
 _MOST_COLUMNS, _MOST_SEEN = 64, 24
-_SAME_TIME = 0.01  # of a step, up to which stamps of two topics are one
-_LARGEST = 1e120  # numbers beyond it, of damaged files, have no squares
 #: logs of flight controllers: where an axis's rate loop stands, its unit, and what to log where it is missing
 _FLIGHT = {
     ".ulg": (rate_loop, "rad/s", "vehicle_angular_velocity and vehicle_torque_setpoint (SDLOG_PROFILE)"),
@@ -180,6 +178,7 @@ def _brought(
     times = {c.name: c for c in (*columns, *others)}
     main = times[stamps].values if stamps is not None and stamps.startswith(TIME_OF) else None
     made, odd = [], []
+    same_time = 0.01  # of a step, up to which stamps of two topics are one
     for c in (*columns, *others):
         own = next((TIME_OF + part for part in (c.name, c.name.partition(".")[0]) if TIME_OF + part in times), None)
         alike = c.values.size == columns[0].values.size
@@ -188,7 +187,7 @@ def _brought(
         elif main is None or own is None or times[own].values.size != c.values.size:
             made += [c] if alike else []
             odd += [] if alike else [f"{c.name} ({c.values.size} of {columns[0].values.size})"]
-        elif alike and np.abs(times[own].values - main).max() < _SAME_TIME * float(np.median(np.diff(main))):
+        elif alike and np.abs(times[own].values - main).max() < same_time * float(np.median(np.diff(main))):
             made.append(c)
         else:
             made.append(replace(c, values=np.interp(main, times[own].values, c.values), own_time=own))
@@ -308,7 +307,8 @@ def _stamps_of(signal: str, names: Sequence[str]) -> str:
 def _trimmed(column: Column) -> Column:
     """Empty cells count as zero here, and numbers that have no square: the import names and refuses them."""
     values = np.nan_to_num(column.values, posinf=0.0, neginf=0.0)
-    return replace(column, values=np.where(np.abs(values) < _LARGEST, values, 0.0))
+    largest = 1e120  # numbers beyond it, of damaged files, have no squares
+    return replace(column, values=np.where(np.abs(values) < largest, values, 0.0))
 
 
 def _signals(source: Source, layout: TextLayout | None, name: str, k: int, values: Array, stated: str) -> list[Column]:

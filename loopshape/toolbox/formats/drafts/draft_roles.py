@@ -18,8 +18,9 @@ from loopshape.data.signal.excitation_parts import is_sweep, rows_of_a_period
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.quality.quality import BEFORE_ITS_CAUSE, MOST_ROWS, inverse_note, loop_feedback, signal_feedback
+from loopshape.identify.quality.quality import MOST_ROWS, inverse_note, loop_feedback, signal_feedback
 from loopshape.identify.settings import Settings
+from loopshape.identify.tolerances import TOL
 from loopshape.toolbox.formats.drafts.column_words import TELLING, Role, role_weights
 from loopshape.toolbox.formats.drafts.roles import (
     adds,
@@ -32,14 +33,9 @@ from loopshape.toolbox.formats.drafts.roles import (
 )
 
 _AT_ONCE = 0.1  # correlation of what is new at the same row, from which on one signal passes to the other unmoved
-_SMALL = 0.2  # of the same, up to which a sweep or few lags may be the cause
-_BESIDE = 0.5  # of what control and output leave open of the output, from which on a source enters beside the control
-_APART = 3.0  # times as much as in the output is seen of a source in the same row of the control
 _EXTERNAL = (Role.REFERENCE, Role.INJECTED)
 #: which of two equal columns is kept
 _RANK = {Role.TIME: 0, Role.OUTPUT: 4, Role.CONTROL: 4, Role.REFERENCE: 3, Role.INJECTED: 2, Role.ERROR: 1}
-
-_FALSE_ALARMS = 1e-4  # of calling an open loop closed
 
 
 @dataclass
@@ -281,7 +277,8 @@ def _confirm(seen: _Seen, roles: Roles) -> None:
         return
     if source is not None and not _unnamed(roles) and _source_is_told(seen, roles, source, control):
         first, second = (abs(_passes(seen, source, name)) for name in (control, output))
-        if first > _AT_ONCE and first > _APART * second:
+        apart = 3.0  # times as much as in the output is seen of a source in the same row of the control
+        if first > _AT_ONCE and first > apart * second:
             roles.guesses.append(
                 f"measured: {control!r} follows {source!r} in the same row, as a controller does"
                 f" ({_alike(seen, source, control)}); {output!r} follows later, as a plant does."
@@ -354,7 +351,7 @@ def _open_or_closed(seen: _Seen, roles: Roles) -> None:
     control, output = (roles.by_role[role] for role in (Role.CONTROL, Role.OUTPUT))
     roles.recording |= {"injection": "control", "closed_loop": False}
     try:
-        signals = seen.column(control), seen.column(output), None, _FALSE_ALARMS, repr(control)
+        signals = seen.column(control), seen.column(output), None, 1e-4, repr(control)  # of calling an open loop closed
         found = signal_feedback(*signals)
         if not found.detected and not seen.alone(control):
             later = signal_feedback(*signals, later=True)
@@ -385,7 +382,8 @@ def _injection(seen: _Seen, roles: Roles, source: str) -> None:
     beside = adds(seen.values, *(seen.names.index(name) for name in (source, control, output)))
     at_controller = abs(size) > _AT_ONCE
     if np.isnan(size):  # nothing is new in one of them
-        at_controller = not beside > _BESIDE
+        # of what control and output leave open of the output, from which on a source enters beside the control
+        at_controller = not beside > 0.5
     roles.recording |= {"injection": "controller_input" if at_controller else "plant_input", "closed_loop": True}
     if np.isnan(size) and (at_controller or rows_of_a_period(seen.column(source))[0]):
         roles.open.append(
@@ -402,7 +400,8 @@ def _injection(seen: _Seen, roles: Roles, source: str) -> None:
         f"{source!r} enters at {roles.recording['injection']}: {control!r} {follows} in the same row"
         f" ({_alike(seen, source, control)}), and beside {control!r} it explains {share} of what is new in {output!r}."
     )
-    if through != at_controller or (not through and beside < _SMALL):
+    small = 0.2  # of the same, up to which a sweep or few lags may be the cause
+    if through != at_controller or (not through and beside < small):
         roles.open.append(
             f"where {source!r} enters is not known: {control!r} {follows} in the same row, and beside {control!r} it"
             f" explains {share} of what is new in {output!r}: write injection (controller_input, plant_input, or"
@@ -428,7 +427,7 @@ def _swapped(seen: _Seen, roles: Roles) -> str:
         method = "auto" if roles.period_rows else "welch"
         P = estimate_frf(recording, loop, Settings(method=method))
         found = inverse_note(recording, loop, P.frequency_hz[P.valid], P.siso[P.valid])
-        if not found and not info.closed_loop and loop_feedback(recording, loop, 1e-4).explained > BEFORE_ITS_CAUSE:
+        if not found and not info.closed_loop and loop_feedback(recording, loop, 1e-4).explained > TOL.before_its_cause:
             found = ("much of the output comes before its cause",)
     except LoopshapeError:
         return ""  # `frf` will say what is wrong with the recording

@@ -15,12 +15,8 @@ from loopshape.core.units import Array
 
 _LAGS = 8
 _ROWS = 20_000  # rows looked at
-_EXACT = 1e-4  # of a signal's rms, up to which a sum is one
 _PREDICTED = 1e-9  # share of a signal that its own past leaves: below it nothing is said of it
 _COPIED = 1e-5  # of a signal's rms, up to which a column is a copy of another
-_ONE_WAY = 0.2  # of what one column explains of another, up to which the other way counts as none
-_MEANS = (1, 4, 16)  # rows averaged
-_LEAST = 0.005  # share of what its own past leaves open, from which on others' past may explain a signal
 
 
 def constants(x: Array) -> np.ndarray:
@@ -54,12 +50,14 @@ def drives(x: Array, first: int, second: int) -> int:
     of 4 or 16 rows (slow plants answer late). In a closed loop both answer each other, and nothing is told.
     """
     pair = x[:, [first, second]]
-    for rows in _MEANS:
+    means = (1, 4, 16)  # rows averaged
+    one_way = 0.2  # of what one column explains of another, up to which the other way counts as none
+    for rows in means:
         part = pair[: len(pair) // rows * rows].reshape(-1, rows, 2).mean(axis=1)
         back, on = answers(part)
         if np.isnan(back) or np.isnan(on) or max(back, on) < beyond_chance(*part.shape):
             continue
-        if min(back, on) < _ONE_WAY * max(back, on):
+        if min(back, on) < one_way * max(back, on):
             return 1 if on > back else -1
     return 0
 
@@ -76,9 +74,10 @@ def differences(x: Array) -> list[tuple[int, int, int]]:
     """Triples (a, b, c) of columns with a = b - c, to a ten-thousandth of a's rms, neither of them constant."""
     moving = np.flatnonzero(~constants(x))
     found = []
+    exact = 1e-4  # of a signal's rms, up to which a sum is one
     for a, b, c in permutations(moving.tolist(), 3):
         left = x[:, a] - (x[:, b] - x[:, c])
-        if np.sqrt(np.mean(left**2)) <= _EXACT * np.std(x[:, a]):
+        if np.sqrt(np.mean(left**2)) <= exact * np.std(x[:, a]):
             found.append((int(a), int(b), int(c)))
     return found
 
@@ -107,7 +106,8 @@ def answers(x: Array, apart: int = 1) -> Array:
 
 def beyond_chance(rows: int, columns: int) -> float:
     """The share in `answers` from which on it is an answer: eight standard deviations of what chance leaves."""
-    return float(max(_LEAST, 8.0 * np.sqrt(2.0 * _LAGS * max(columns - 1, 1)) / min(rows, _ROWS)))
+    least = 0.005  # share of what its own past leaves open, from which on others' past may explain a signal
+    return float(max(least, 8.0 * np.sqrt(2.0 * _LAGS * max(columns - 1, 1)) / min(rows, _ROWS)))
 
 
 def at_once(x: Array, source: int, answer: int) -> float:

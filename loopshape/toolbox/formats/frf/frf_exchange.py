@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError, refuse_unknown
-from loopshape.data.algebra.operations import negated, without_controller
+from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import PART, inside, make_folder, plain_name, put, staged, writing
@@ -64,7 +64,6 @@ _READERS: dict[str, Callable[[Path, Stated], ForeignFRF]] = {
     "touchstone": lambda path, _: read_touchstone(path),
     "ligo": lambda path, _: read_ligo_xml(path),
 }
-_LONGEST_NAME = 80
 _READ = {".txt": "table", ".tsv": "table", ".dat": "table", ".s1p": "touchstone", ".s2p": "touchstone", ".xml": "ligo"}
 _ENDINGS = {".mat": "mat", ".csv": "csv", ".uff": "uff", ".unv": "uff", ".h5": "hdf5", ".hdf5": "hdf5"}
 
@@ -125,7 +124,7 @@ def read_frf_file(path: Path, stated: Stated | None = None) -> FRF:
 def _loop_of(outputs: Sequence[str]) -> str:
     """A loop's name after its outputs; of many, which a file's name does not hold, the first and how many more."""
     whole = "+".join(outputs)
-    return whole if len(whole) <= _LONGEST_NAME else f"{outputs[0]}+{len(outputs) - 1}"
+    return whole if len(whole) <= 80 else f"{outputs[0]}+{len(outputs) - 1}"
 
 
 def _check_names(frfs: Sequence[FRF]) -> None:
@@ -177,3 +176,31 @@ def _same(one: FRF, two: FRF) -> bool:
     a, b = frf_arrays(one), frf_arrays(two)
     names = (one.inputs, one.outputs, one.rate_hz) == (two.inputs, two.outputs, two.rate_hz)
     return names and a.keys() == b.keys() and all(np.array_equal(a[name], b[name]) for name in a)
+
+
+def negated(A: FRF) -> FRF:
+    """-A, with its error: the response of a loop whose measurement held the sign of its summing point."""
+    cross = None if A.cross_power is None else -A.cross_power
+    return replace(A, response=-A.response, cross_power=cross, notes=(*A.notes, "the sign was turned, as stated"))
+
+
+def without_controller(L: FRF, controller: Controller) -> FRF:
+    """P = L/C of a loop L = C P that was measured whole under a known controller, with L's error over |C|.
+
+    L is 1 x 1. What the controller's response holds (delay, hold) is divided out with it. Refuses several channels,
+    frequencies from half the controller's rate on, and lines at which C is zero.
+    """
+    if L.response.shape[1:] != (1, 1):
+        raise WrongUseError("one controller is divided out of one loop", f"{L.response.shape[1:]} channels", "pick one")
+    C = controller.response(L.frequency_hz)[:, None, None]
+    if not np.all(np.abs(C) > 0.0):
+        bad = L.frequency_hz[np.abs(C[:, 0, 0]) == 0.0][0]
+        raise WrongUseError(
+            "where the controller is zero the loop tells nothing of the plant", f"at {bad:g} Hz", "leave it out"
+        )
+    noise = None if L.noise_covariance is None else L.noise_covariance / np.abs(C) ** 2
+    return replace(
+        L, response=L.response / C, covariance=L.covariance / np.abs(C) ** 2, noise_covariance=noise, input_power=None,
+        output_power=None, cross_power=None, rate_hz=L.rate_hz or controller.rate_hz, recorded_under=controller,
+        notes=(*L.notes, "measured as the complete loop: its controller was divided out"),
+    )  # fmt: skip

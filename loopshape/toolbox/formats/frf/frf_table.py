@@ -24,7 +24,6 @@ from loopshape.toolbox.formats.drafts.column_words import split_unit
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 from loopshape.toolbox.formats.tables.text_layout import TextLayout, read_layout
 
-_MOST_BYTES = 1 << 26
 _PER_HZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "rad/s": 1.0 / TWO_PI, "rad/sec": 1.0 / TWO_PI}
 _WORDS = {
     "frequency": ("frequency", "freq", "frequenz", "f", "omega", "w", "hz"),
@@ -180,7 +179,8 @@ def _passed(layout: TextLayout, places: Mapping[str, tuple[int, str]]) -> tuple[
 
 def _of_pairs(path: Path) -> ForeignFRF | None:
     """LTspice's export: a frequency and cells of two parts, separated by tabs; None for another file."""
-    text = whole_text(path, _MOST_BYTES)
+    most_bytes = 1 << 26
+    text = whole_text(path, most_bytes)
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) < 2 or "\t" not in lines[0] or _PAIR.fullmatch(lines[1].split("\t")[-1].strip()) is None:
         return None

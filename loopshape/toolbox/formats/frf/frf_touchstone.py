@@ -17,10 +17,8 @@ from loopshape.io.csv_text import whole_text
 from loopshape.io.files import reading, short
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
 
-_MOST_BYTES = 1 << 26
 _PER_HZ = {"HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6, "GHZ": 1e9}
 _PARTS = ("RI", "MA", "DB")
-_NOISE = 5  # numbers in a row of noise parameters
 #: keywords of version 2 that leave the rows as version 1 has them
 _HARMLESS = ("version", "number of ports", "number of frequencies", "reference", "network data", "end", "noise data",
              "number of noise frequencies", "begin information", "end information")  # fmt: skip
@@ -34,7 +32,8 @@ def read_touchstone(path: Path) -> ForeignFRF:
     Refuses frequencies that do not rise, but for the noise parameters at the end of a .s2p, which are counted.
     """
     ports = int(path.suffix[2])
-    text = whole_text(path, _MOST_BYTES)
+    most_bytes = 1 << 26
+    text = whole_text(path, most_bytes)
     lines = [line.split("!")[0].strip() for line in text.splitlines()]
     unit, kind, parts = _options(path, next((line for line in lines if line.startswith("#")), ""))
     with reading(path, "Touchstone"):
@@ -44,7 +43,8 @@ def read_touchstone(path: Path) -> ForeignFRF:
         end = next((k for k, row in enumerate(rows) if k and row[0] <= rows[k - 1][0]), len(rows))
         if not rows or any(len(row) != wide for row in rows[:end]):
             raise ValueError(f"rows of {wide} numbers are due with {ports} ports")
-        if any(ports != 2 or len(row) != _NOISE for row in rows[end:]):
+        noise = 5  # numbers in a row of noise parameters
+        if any(ports != 2 or len(row) != noise for row in rows[end:]):
             before, after = rows[end - 1][0], rows[end][0]
             raise ValueError(f"its frequencies do not rise at row {end + 1}: {after:g} after {before:g}; sort the rows")
     values = np.array(rows[:end])

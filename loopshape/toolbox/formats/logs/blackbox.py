@@ -23,15 +23,11 @@ from loopshape.io.files import reading
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
 _FIRST = b"H Product:Blackbox"
-_PER_S = 1e6  # stamps count microseconds
 _FRAMES = b"IPSGHE"
 _SIGNED_VB, _UNSIGNED_VB, _NEG_14BIT, _TAG8_8SVB, _TAG2_3S32, _TAG8_4S16, _NULL, _TAG2_3SVARIABLE = (
     0, 1, 3, 6, 7, 8, 9, 10,
 )  # fmt: skip
 _TERMS = "PIDFS"
-_LAST_EVENT = 255
-_LONGEST_INTERVAL = 4096  # loops between whole frames
-_LONGEST_JUMP = 10_000_000  # microseconds between frames of one stretch
 
 
 class _Bytes:
@@ -193,7 +189,7 @@ def _signals(log: _Log, title: str, before: str) -> dict[str, np.ndarray]:
         terms = [columns[name] for term in _TERMS if (name := f"axis{term}[{axis}]") in columns]
         if terms:
             found[f"{before}axisSum[{axis}]"] = np.sum(terms, axis=0)
-    found[TIME_OF + title] = (time - time[0]) / _PER_S
+    found[TIME_OF + title] = (time - time[0]) / 1e6  # stamps count microseconds
     return found
 
 
@@ -222,7 +218,7 @@ def _refuse_headers(log: _Log) -> None:
     for key in ("I predictor", "I encoding", "P predictor", "P encoding"):
         if (count := len(log.numbers(f"Field {key}"))) != len(log.names):
             raise ValueError(f"header Field {key}: {count} numbers for {len(log.names)} fields")
-    if not 1 <= log.interval <= _LONGEST_INTERVAL or min(log.share) < 1:
+    if not 1 <= log.interval <= 4096 or min(log.share) < 1:  # loops between whole frames
         raise ValueError(f"an I interval of {log.interval}, a P interval of {log.share[0]}/{log.share[1]}")
     if not np.isfinite(log.gyro_scale):
         raise ValueError(f"a gyro_scale of {log.gyro_scale}")
@@ -258,13 +254,15 @@ def _follows(log: _Log, raw: _Bytes, values: list[int]) -> bool:
     """Whether another frame begins behind this one, and its time goes on from the last."""
     at = log.names.index("time")
     behind = raw.at >= len(raw.data) or raw.data[raw.at] in _FRAMES
-    return behind and (not log.rows or 0 < values[at] - log.rows[-1][at] < _LONGEST_JUMP or log.previous is None)
+    longest_jump = 10_000_000  # microseconds between frames of one stretch
+    return behind and (not log.rows or 0 < values[at] - log.rows[-1][at] < longest_jump or log.previous is None)
 
 
 def _event(raw: _Bytes) -> bool:
     """Pass over an event; False for the log's end."""
     kind = raw.next()
-    if kind == _LAST_EVENT:
+    last_event = 255
+    if kind == last_event:
         return False
     if kind == 13:  # a setting changed in flight: a function, and a number as float or not
         raw.at += 4 if raw.next() >= 128 else 0

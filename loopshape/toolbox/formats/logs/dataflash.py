@@ -19,7 +19,6 @@ import numpy as np
 from loopshape.io.files import reading
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF, Arrays
 
-_PER_S = 1e6  # stamps count microseconds
 _MAGIC = b"\xa3\x95"
 _FMT, _FMT_BYTES = 128, 89
 #: numpy's type of a field by its letter, and what its number is divided by
@@ -137,6 +136,7 @@ def _named(
 ) -> dict[str, np.ndarray]:
     first = min(int(table["TimeUS"][0]) for table in tables.values())
     found: dict[str, np.ndarray] = {}
+    per_s = 1e6  # stamps count microseconds
     for name, table in tables.items():
         counted = table[instances[name]] if name in instances else np.zeros(table.size, int)
         for number in np.unique(counted):
@@ -144,7 +144,7 @@ def _named(
             for field, letter in letters[name].items():
                 if letter in _TYPES and field != "TimeUS":
                     found[f"{own}.{field}"] = mine[field].astype(float) / _TYPES[letter][1]
-            found[TIME_OF + own] = (mine["TimeUS"].astype(np.int64) - first) / _PER_S
+            found[TIME_OF + own] = (mine["TimeUS"].astype(np.int64) - first) / per_s
     return found
 
 

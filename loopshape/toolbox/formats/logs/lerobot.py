@@ -22,7 +22,6 @@ from loopshape.io.files import reading, short
 from loopshape.io.size_limit import check_growth
 
 _INFO = ("meta", "info.json")
-_ABOVE = 3  # folders above a file in which info.json is looked for
 _COMMAND, _MEASURED = "action", "observation.state"
 _MOST_ENTRIES = 512
 _UNITS = (
@@ -106,7 +105,8 @@ def read_episodes(numbers: Array) -> dict[int, tuple[int, int]]:
 
 def _info(path: Path) -> dict[str, Any]:
     """The dataset's info.json, in one of the folders above a file; empty without one."""
-    for folder in path.absolute().parents[:_ABOVE]:
+    above = 3  # folders above a file in which info.json is looked for
+    for folder in path.absolute().parents[:above]:
         file = folder.joinpath(*_INFO)
         if file.is_file():
             with reading(file, "JSON"):

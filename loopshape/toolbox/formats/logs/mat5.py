@@ -28,7 +28,6 @@ _CELL, _CHAR = 1, 4
 _CODES = {1: "ascii", 2: "latin-1", 4: "utf-16", 16: "utf-8", 17: "utf-16", 18: "utf-32"}
 _OPAQUE = 17
 _STRUCT, _OBJECT = 2, 3
-_COMPLEX = 0x0800
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ def _matrix(data: memoryview, order: str, texts: bool) -> tuple[str, np.ndarray]
     sizes = tuple(int(n) for n in shape)
     if number_class in _NUMERIC_CLASSES:
         values = _numbers(_next(parts), name, sizes, order)
-        return name, values + 1j * _numbers(_next(parts), name, sizes, order) if word & _COMPLEX else values
+        return name, values + 1j * _numbers(_next(parts), name, sizes, order) if word & 0x0800 else values
     if texts and number_class == _CHAR:
         return name, _text(_next(parts), sizes, order)
     if texts and number_class == _CELL:

@@ -18,15 +18,14 @@ from loopshape.toolbox.formats.logs.mat_tree import Handle, Node, Thing
 #: first number of an object's marks
 MAGIC = 0xDD000000
 _BEHIND = {2: 1, 3: 2, 4: 3}  # cells behind the values, by version
-_IN_CELL, _INLINE = 1, 2
 _HEAD = 40  # bytes before the names
-_MOST_MARKS = 4096
 
 
 def handle_of(values: np.ndarray) -> Handle | None:
     """The handle that an array is, if it is one: uint32, the magic number, sizes, marks and a class."""
     marks = values.ravel()
-    if marks.dtype.kind != "u" or marks.dtype.itemsize != 4 or not 4 <= marks.size <= _MOST_MARKS:
+    most_marks = 4096
+    if marks.dtype.kind != "u" or marks.dtype.itemsize != 4 or not 4 <= marks.size <= most_marks:
         return None
     return Handle(marks) if int(marks[0]) == MAGIC else None
 
@@ -84,11 +83,12 @@ class Objects:
 
     def _properties(self, table: Sequence[int], at: int) -> dict[str, Node]:
         found: dict[str, Node] = {}
+        in_cell, inline = 1, 2
         for k in range(at + 1, at + 1 + 3 * table[at], 3):
             name, how, value = table[k : k + 3]
-            if how == _IN_CELL:
+            if how == in_cell:
                 found[self._name(name)] = self._values[value]
-            elif how == _INLINE:
+            elif how == inline:
                 found[self._name(name)] = np.array(float(value))
         return found
 

@@ -18,7 +18,6 @@ from loopshape.io.files import reading
 from loopshape.io.size_limit import check_growth
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
-_PER_S = 1e6  # stamps count microseconds
 #: axes of a rate loop; of their signals the newest names stand first below
 _AXES = ("roll", "pitch", "yaw")
 
@@ -39,10 +38,11 @@ def read_ulog(path: Path) -> dict[str, np.ndarray]:
         raise UnreadableInputError(f"{path.name} holds no messages", "an empty log", "log again")
     first = min(int(topic.data["timestamp"][0]) for topic in log.data_list if topic.data["timestamp"].size)
     found: dict[str, np.ndarray] = {}
+    per_s = 1e6  # stamps count microseconds
     for topic in log.data_list:
         name = topic.name if topic.multi_id == 0 else f"{topic.name}#{topic.multi_id}"
         found |= {f"{name}.{field}": values for field, values in topic.data.items() if field != "timestamp"}
-        found[TIME_OF + name] = (topic.data["timestamp"].astype(np.int64) - first) / _PER_S
+        found[TIME_OF + name] = (topic.data["timestamp"].astype(np.int64) - first) / per_s
     return found
 
 

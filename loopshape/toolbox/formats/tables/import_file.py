@@ -21,7 +21,6 @@ from loopshape.toolbox.formats.tables.import_map import ColumnRule, ImportMap, r
 from loopshape.toolbox.formats.tables.made_columns import make_columns
 from loopshape.toolbox.formats.tables.sources import Source, open_source
 
-_MOST_GROWTH = 50  # times the file's rows; more comes from a wrong unit of the stamps
 _GAP = 1.5  # median steps
 
 
@@ -203,7 +202,7 @@ def _evenly(
 def _rows(stamps: Array, rate_hz: float, file: str) -> int:
     """Rows at `rate_hz` between the first stamp and the last; refuses far more than there were, and fewer than two."""
     n = np.floor((stamps[-1] - stamps[0]) * rate_hz + 1e-9) + 1
-    if not 2 <= n <= _MOST_GROWTH * stamps.size:
+    if not 2 <= n <= 50 * stamps.size:  # times the file's rows; more comes from a wrong unit of the stamps
         raise WrongUseError(
             f"{stamps.size} rows of {file} would become {n:.0f} at {rate_hz:g} Hz",
             f"stamps over {stamps[-1] - stamps[0]:g} s",

@@ -15,7 +15,6 @@ from loopshape.io.size_limit import most_bytes
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
 _LONGEST_JSON = 512 * 1024 * 1024  # bytes
-_DEEPEST = 6
 
 
 def read_json_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -35,7 +34,7 @@ def read_json_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def _gather(value: Any, name: str, found: dict[str, np.ndarray], depth: int) -> None:
-    if isinstance(value, dict) and depth < _DEEPEST:
+    if isinstance(value, dict) and depth < 6:
         for key, inner in value.items():
             _gather(inner, f"{name}.{key}" if name else str(key), found, depth + 1)
     elif isinstance(value, list) and value and all(isinstance(row, dict) for row in value):

@@ -13,12 +13,9 @@ from loopshape.io.csv_text import CsvShape, first_text
 from loopshape.io.files import short
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
-_LOOKED_AT = 1 << 18  # bytes
 _SEPARATORS = (";", "\t", ",", "|", " ")
 _NAMED = {"\t": "tab", " ": "blanks", ",": "comma", ";": "semicolon", "|": "bar"}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
-_MOST_HEADS = 12
-_TABLE = 4  # rows in a line that are a table, and no numbers of a head
 #: first words of lines that name the channels or their units
 _UNIT_LINE = re.compile(r"(?<!time )(unit|einheit)", re.IGNORECASE)
 _NAME_LINE = re.compile(r"^(name|symbol ?name|signal|channel|variable|trace ?names?)s?$", re.IGNORECASE)
@@ -69,7 +66,8 @@ class _Rows:
 
 def read_layout(path: Path) -> TextLayout:
     """The layout that the first lines of a file show; refuses one without rows of numbers (`UnreadableInputError`)."""
-    text, encoding = first_text(path, _LOOKED_AT)
+    looked_at = 1 << 18  # bytes
+    text, encoding = first_text(path, looked_at)
     lines = text.splitlines()
     best = None
     for words in (False, True):
@@ -153,10 +151,11 @@ def _stretch(lines: Sequence[str], end: int, separator: str, decimal: str, words
 def _refuse_rows_above(path: Path, lines: Sequence[str], rows: _Rows) -> None:
     """Refuse a file whose rows stop and go on: what stands above the last stretch would be lost."""
     run = 0
+    table = 4  # rows in a line that are a table, and no numbers of a head
     for k in range(rows.start - 1, -1, -1):
         cells = cells_of(lines[k], rows.separator)
         run = run + 1 if len(cells) == len(rows.cells) and _full(cells, rows.decimal, ()) else 0
-        if run == _TABLE:
+        if run == table:
             broken = next(j for j in range(rows.start - 1, -1, -1) if j == k + run or lines[j].strip())
             raise UnreadableInputError(
                 f"{path.name} holds several tables, one below the other",
@@ -200,7 +199,7 @@ def _heads(lines: Sequence[str], rows: _Rows) -> dict[int, tuple[str, ...]]:
         cells = cells_of(lines[k].lstrip("#%; "), rows.separator)
         more = len(cells) == len(rows.cells) + 1 and cells[-1].lower() in ("", "comment")  # LabVIEW's last column
         cells = cells[:-1] if more else cells
-        if len(cells) != len(rows.cells) or len(found) == _MOST_HEADS or not any(cells):
+        if len(cells) != len(rows.cells) or len(found) == 12 or not any(cells):
             break
         found[k] = cells
     return dict(sorted(found.items()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -55,7 +55,8 @@ def gap(
     output = Output(as_json, quiet)
     from loopshape.toolbox.gap.commands.gap_two_runs import check_files
 
-    check_files(save_answer, report, next_study)
+    files = GapFiles(save_answer, report, next_study)
+    check_files(*files)
     if baseline is not None and (sim is not None or identifiable):
         refuse_baseline("a second run" if sim is not None else "--identifiable")
     if sim is not None:
@@ -66,8 +67,15 @@ def gap(
     if identifiable:
         show_identifiable(run, model, output)
         return
-    files = {"save_answer": save_answer, "report": report, "next_study": next_study}
-    diagnose_run(run, output, **files, quick=quick, details=details, model=model, baseline=baseline)
+    diagnose_run(run, output, files, quick=quick, details=details, model=model, baseline=baseline)
+
+
+class GapFiles(NamedTuple):
+    """Files that a diagnosis writes: the answer, its picture, and a study to record next; None where not wanted."""
+
+    save_answer: Path | None = None
+    report: Path | None = None
+    next_study: Path | None = None
 
 
 def show_identifiable(folder: Path, model: Path | None, output: Output) -> None:
@@ -87,10 +95,8 @@ def show_identifiable(folder: Path, model: Path | None, output: Output) -> None:
 def diagnose_run(
     folder: Path,
     output: Output,
+    files: GapFiles,
     *,
-    save_answer: Path | None = None,
-    report: Path | None = None,
-    next_study: Path | None = None,
     quick: bool = False,
     details: bool = False,
     model: Path | None = None,
@@ -103,7 +109,8 @@ def diagnose_run(
     from loopshape.toolbox.gap.commands.gap_two_runs import check_files
     from loopshape.toolbox.gap.verbs import gap as run_gap
 
-    check_files(save_answer, report, next_study)
+    save_answer, report, next_study = files
+    check_files(*files)
     with output.progress("gap", 9) as step:
         found = run_gap(folder, model=model, baseline=baseline, table=not quick, name=folder.name, say=step)
     _headline(found, output)

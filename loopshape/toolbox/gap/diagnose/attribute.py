@@ -12,6 +12,7 @@ from loopshape.toolbox.gap.diagnose import fitting
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.diagnose.fitting import Fitted
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
+from loopshape.toolbox.gap.tolerances import TOL
 
 
 def healthy(evidence: Evidence) -> Fitted:
@@ -50,11 +51,9 @@ def screened(
 def within_reach(fitted: Sequence[Fitted]) -> list[Fitted]:
     """Those, best first, that may still come near the best: the first few, and whatever costs little more."""
     ordered = sorted(fitted, key=lambda f: f.cost)
-    return [f for k, f in enumerate(ordered) if k < _FEW or f.cost < ordered[0].cost + _HOPELESS]
-
-
-_FEW = 2
-_HOPELESS = 25.0  # of cost: at the highest temperature a probability of 5e-5, and less of what is plain
+    few = 2
+    hopeless = 25.0  # of cost: at the highest temperature a probability of 5e-5, and less of what is plain
+    return [f for k, f in enumerate(ordered) if k < few or f.cost < ordered[0].cost + hopeless]
 
 
 def _spread_slopes(base: Fitted, p: int) -> Array:
@@ -148,12 +147,10 @@ def again(evidence: Evidence, fitted: Fitted, rounds: int) -> Fitted:
 def best_forms(fitted: Sequence[Fitted]) -> list[Fitted]:
     """The best form of each effect (or pair), best first; one that is another and more has to be clearly better."""
     best: dict[str, Fitted] = {}
-    for f in sorted(fitted, key=lambda f: f.cost + _MORE * sum(bool(form.extends) for form in f.hypothesis.forms)):
+    more = 7.5  # of cost: what a second effect costs at the highest temperature
+    for f in sorted(fitted, key=lambda f: f.cost + more * sum(bool(form.extends) for form in f.hypothesis.forms)):
         best.setdefault(f.hypothesis.name, f)
     return sorted(best.values(), key=lambda f: f.cost)
-
-
-_MORE = 7.5  # of cost: what a second effect costs at the highest temperature
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,10 +206,10 @@ def deviation_of_magnitude(
     """Standard deviation of a form's magnitude: recordings, tolerance, and forms that are never quite right.
 
     Recordings by the jackknife (Efron 1982); what the data cannot tell from the spread by the covariance under its
-    prior. For the form FORM_ERROR of the magnitude, chosen after an exam whose intervals without it covered 39 %, and
-    OF_WHAT_IS_LEFT times the share of the gap that the form leaves: what arms of one form of the catalogue showed when
-    the others were fitted (`experiments/effects`, forms.csv). What a nameless push at the place (`ceilings`, mean
-    squares; the best where the place has none) leaves as well is really unmodelled, and counts OF_THE_UNMODELLED.
+    prior. For the form `form_error` of the magnitude, chosen after an exam whose intervals without it covered 39 %, and
+    `of_what_is_left` times the share of the gap that the form leaves: what arms of one form of the catalogue showed
+    when the others were fitted (`experiments/effects`, forms.csv). What a nameless push at the place (`ceilings`, mean
+    squares; the best where the place has none) leaves as well is really unmodelled, and counts `of_the_unmodelled`.
     """
     at = sum(len(f.free) for f in fitted.hypothesis.forms[:place])
     scale = fitted.hypothesis.forms[place].scale
@@ -222,14 +219,9 @@ def deviation_of_magnitude(
     name = fitted.hypothesis.forms[place].effect.partition("@")[2]
     reached = ceilings.get(name, min(ceilings.values())) if ceilings else 1.0
     whole, own = share_left(fitted, healthy), share_left(fitted, healthy, reached)
-    unmodelled = OF_THE_UNMODELLED * np.sqrt(max(whole**2 - own**2, 0.0))
-    form = np.linalg.norm([FORM_ERROR, OF_WHAT_IS_LEFT * own, unmodelled]) * scale * float(fitted.phi[at])
+    unmodelled = TOL.of_the_unmodelled * np.sqrt(max(whole**2 - own**2, 0.0))
+    form = np.linalg.norm([TOL.form_error, TOL.of_what_is_left * own, unmodelled]) * scale * float(fitted.phi[at])
     return float(np.sqrt(jackknife + scale**2 * _prior_variance(evidence, fitted, at) + form**2))
-
-
-FORM_ERROR, OF_WHAT_IS_LEFT = 0.04, 1.6
-OF_THE_UNMODELLED = 0.2  # 24 falsified models of EMPS and QUBE: the likelihood is largest at 0 to 0.19, all terms in it
-_WORTH = 20.0  # independent observations that a cell is taken for
 
 
 def _prior_variance(evidence: Evidence, fitted: Fitted, at: int) -> float:
@@ -238,7 +230,8 @@ def _prior_variance(evidence: Evidence, fitted: Fitted, at: int) -> float:
     if not free[at]:
         return 0.0
     squares = fitting.normal(evidence, fitted.slopes[:, free], fitted.residual).squares
-    information = _WORTH * np.tensordot(fitting.weights(fitted.mean_squares), squares, 1)
+    worth = 20.0  # independent observations that a cell is taken for
+    information = worth * np.tensordot(fitting.weights(fitted.mean_squares), squares, 1)
     spread = np.flatnonzero(free) >= fitted.hypothesis.n_free
     information[spread, spread] += 3.0
     return float(np.linalg.pinv(information)[np.sum(free[:at]), np.sum(free[:at])])

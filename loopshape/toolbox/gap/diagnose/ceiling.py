@@ -22,8 +22,6 @@ from loopshape.toolbox.gap.nouns.plant import Shapes, SimulationModel
 
 #: ridge weights that are tried, as shares of a shape's own information
 RIDGES = 10.0 ** np.arange(-6.0, 2.1)
-#: curves are drawn at so many places
-POINTS = 121
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,13 +84,14 @@ class Nameless:
         """
         c = next(c for c in self.ceilings if c.place == place)
         out, at, n = [], 0, len(c.left_out)
+        points = 121  # curves are drawn at so many places
         for axis in self.shapes.axes[place]:
             k = max(axis.knots.size, 1)
             part = slice(at, at + k)
             at += k
             if not axis.knots.size:
                 continue
-            x = np.linspace(axis.knots[0], axis.knots[-1], POINTS)
+            x = np.linspace(axis.knots[0], axis.knots[-1], points)
             rows = axis.values(x)
             drawn, value = rows @ c.left_out[:, part].T, rows @ c.sizes[part]
             std = np.sqrt((n - 1.0) / n * np.sum((drawn - drawn.mean(axis=1, keepdims=True)) ** 2, axis=1))

@@ -23,15 +23,8 @@ from loopshape.toolbox.gap.diagnose.evidence import Evidence, least
 from loopshape.toolbox.gap.diagnose.fitting import Fitted
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 from loopshape.toolbox.gap.nouns.effect import EffectForm
-from loopshape.toolbox.gap.nouns.gap_report import SMALLEST_GAP
 from loopshape.toolbox.gap.nouns.plant import SimulationModel
-
-SHARPNESS, SHARPER = 0.4, 0.8  # one over the temperature, and what is added where the best explains all but noise
-ONE_EFFECT, TWO_EFFECTS = 1.0, 3.975  # the second what it cost development arms of eight recordings
-PER_NUMBER = 0.3  # beyond the first of each effect
-UNKNOWN, UNKNOWN_LEAVES = 3.2, 0.2
-HEALTHY_EXCESS = 2.5  # healthy development arms left 1.2 at most; beyond it `none` is not believed
-_UNUSUAL, _SLACK = 6.0, 0.15
+from loopshape.toolbox.gap.tolerances import TOL
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +44,7 @@ class Candidate:
     @property
     def energy(self) -> float:
         """At the highest temperature, to choose among forms."""
-        return SHARPNESS * self.excess + self.price
+        return TOL.sharpness * self.excess + self.price
 
     @property
     def name(self) -> str:
@@ -64,7 +57,7 @@ def unusual(form: EffectForm, magnitude: float) -> float:
     low, high = form.usual
     size = max(abs(magnitude), 1e-12)
     off = max(np.log(max(low, 1e-12) / size), np.log(size / high), 0.0)
-    return float(_UNUSUAL * max(off - _SLACK, 0.0) ** 2)
+    return float(TOL.unusual * max(off - TOL.unusual_slack, 0.0) ** 2)
 
 
 def candidate(
@@ -77,9 +70,9 @@ def candidate(
     left = left_out(evidence, fitted)
     forms = fitted.hypothesis.forms
     deviations = tuple(deviation_of_magnitude(evidence, fitted, left, healthy, k, ceilings) for k in range(len(forms)))
-    cost = (0.0, ONE_EFFECT, TWO_EFFECTS)[len(forms)]
-    cost += PER_NUMBER * (fitted.hypothesis.n_free - len(forms))
-    cost += sum(TWO_EFFECTS - ONE_EFFECT for f in forms if f.extends)
+    cost = (0.0, TOL.one_effect, TOL.two_effects)[len(forms)]
+    cost += 0.3 * (fitted.hypothesis.n_free - len(forms))  # beyond the first of each effect
+    cost += sum(TOL.two_effects - TOL.one_effect for f in forms if f.extends)
     odd = sum(unusual(f, m) for f, m in zip(forms, fitted.magnitudes, strict=True))
     excess = fitting.cost(np.maximum(left.squares, evidence.least)) - evidence.quiet
     return Candidate(fitted, left, deviations, excess, cost + odd)
@@ -105,7 +98,7 @@ def energies(
     """Energy of every name scored, of every other effect of the catalogue, and of `unknown`.
 
     Where the best explains all but noise its form is right, and differences count for more. With a ceiling `unknown`
-    is what it leaves, but no less than UNKNOWN_LEAVES of the gap (it has to explain clearly more than a name), and
+    is what it leaves, but no less than `unknown_leaves` of the gap (it has to explain clearly more than a name), and
     everything is told in units of what even the best explanation leaves: a real machine never comes down to its noise.
     Recordings that no fit saw count as those that were left out; a name that was not followed there leaves what none
     does. Of a channel whose floor is known, what the best explanation leaves beyond it is no discrepancy: a good model
@@ -123,7 +116,7 @@ def energies(
     quiet, scale, nameless = float(np.sum(np.log1p(np.maximum(floor, 1.0)))), np.ones(len(idle)), idle
     if ceiling is not None:
         nameless = ceiling.squares if held is None else np.concatenate([ceiling.squares, held.nameless[ceiling.place]])
-        nameless = np.maximum(nameless, np.minimum(1.0, idle) + UNKNOWN_LEAVES**2 * np.maximum(idle - 1.0, 0.0))
+        nameless = np.maximum(nameless, np.minimum(1.0, idle) + TOL.unknown_leaves**2 * np.maximum(idle - 1.0, 0.0))
         nameless = np.maximum(nameless, floor)
         scale += np.where(floor > 0.0, 0.0, discrepancy(channels, [*squares.values(), nameless]))
 
@@ -133,12 +126,13 @@ def energies(
     left = {name: excess(values) for name, values in squares.items()}
     healthy = excess(idle)
     best = max(min(left.values()), 0.0)
-    sharpness = SHARPNESS + SHARPER * float(np.exp(-best / _EXPLAINED))
+    sharpness = TOL.sharpness + TOL.sharper * float(np.exp(-best / TOL.explained))
     out = {name: sharpness * left[name] + c.price for name, c in scored.items()}
-    out["none"] = sharpness * healthy + max(healthy - HEALTHY_EXCESS, 0.0) - healthy_prior(evidence.plant)
-    out["unknown"] = UNKNOWN + sharpness * (unknown_excess(evidence, none) if ceiling is None else excess(nameless))
+    healthy_excess = 2.5  # healthy development arms left 1.2 at most; beyond it `none` is not believed
+    out["none"] = sharpness * healthy + max(healthy - healthy_excess, 0.0) - healthy_prior(evidence.plant)
+    out["unknown"] = TOL.unknown + sharpness * (unknown_excess(evidence, none) if ceiling is None else excess(nameless))
     for form in evidence.plant.effects:  # what was not worth fitting explains no more than nothing does
-        out.setdefault(form.effect, sharpness * healthy + ONE_EFFECT + _NOT_FITTED)
+        out.setdefault(form.effect, sharpness * healthy + TOL.one_effect + TOL.not_fitted)
     return out
 
 
@@ -157,9 +151,6 @@ def discrepancy(of: Sequence[str], explanations: Sequence[Array]) -> Array:
     return out
 
 
-_EXPLAINED, _NOT_FITTED = 3.0, 5.0
-
-
 def healthy_prior(plant: SimulationModel) -> float:
     """Energy of `none` below 0: it has the prior of all effects together, however many a machine has.
 
@@ -167,13 +158,13 @@ def healthy_prior(plant: SimulationModel) -> float:
     Scott and Berger, Annals of Statistics 38, 2010). Where prices are calibrated they contain it.
     """
     names = {f.effect for f in plant.effects}
-    return 0.0 if plant.calibrated else max(float(np.log(len(names))) - ONE_EFFECT, 0.0)
+    return 0.0 if plant.calibrated else max(float(np.log(len(names))) - TOL.one_effect, 0.0)
 
 
 def unknown_excess(evidence: Evidence, none: Candidate) -> float:
-    """What an explanation that the catalogue does not hold would leave: UNKNOWN_LEAVES of the gap's rms."""
+    """What an explanation that the catalogue does not hold would leave: `unknown_leaves` of the gap's rms."""
     excess = np.maximum(none.fitted.mean_squares - 1.0, 0.0)
-    return float(np.sum(np.log1p(1.0 + UNKNOWN_LEAVES**2 * excess))) - evidence.quiet
+    return float(np.sum(np.log1p(1.0 + TOL.unknown_leaves**2 * excess))) - evidence.quiet
 
 
 def best_by_name(candidates: Sequence[Candidate]) -> dict[str, Candidate]:
@@ -207,12 +198,12 @@ def decided(
 
     All is told in units of the least that is left, by a name or by a nameless push (`ceiling`, None where none is
     known), but no less than the noise; in floors where all of these are `known` to be what a good model leaves. A name
-    that takes less than LEAST_SHARE of the gap away explains nothing; where no name and no push moves the outputs by
-    `matters` floors, or none is left beyond SMALLEST_GAP known floors, there is no gap that matters.
+    that takes less than `least_share` of the gap away explains nothing; where no name and no push moves the outputs by
+    `matters` floors, or none is left beyond `smallest_gap` known floors, there is no gap that matters.
 
-    A form that does not quite fit may leave up to UNKNOWN_LEAVES of the gap. A second effect would take up what the
+    A form that does not quite fit may leave up to `unknown_leaves` of the gap. A second effect would take up what the
     first one's form leaves, so a pair has to leave what noise explains, or on a machine that never comes down to it
-    UNKNOWN_LEAVES of the gap less than the single effect, and its second effect has to matter. Where it does not,
+    `unknown_leaves` of the gap less than the single effect, and its second effect has to matter. Where it does not,
     single effects and `unknown` are judged without pairs, and its probability goes to `main`, the effect of the leading
     pair that moves the machine most: the other takes up what is really unmodelled. Where the leading explanation is
     refuted, `unknown` has most.
@@ -222,17 +213,17 @@ def decided(
     """
     out = dict(probabilities)
     singles = [n for n in out if n not in pairs and n not in ("none", "unknown")]
-    together = SMALLEST_GAP
+    together = TOL.smallest_gap
     if ceiling is not None:
         least = 1.0 if known else max(1.0, min([ceiling, *after.values()]))
         gap = before - 1.0
-        idle = {n for n, left in after.items() if before - left < LEAST_SHARE * gap}
+        idle = {n for n, left in after.items() if before - left < TOL.least_share * gap}
         if (leader := next(iter(out))) in idle:
             out = _reduced(out, [n for n in out if n not in ("none", "unknown")])
-        if before < max(np.hypot(matters, 1.0), SMALLEST_GAP if known else 0.0):
+        if before < max(np.hypot(matters, 1.0), TOL.smallest_gap if known else 0.0):
             return _reduced(out, [n for n in out if n != "none"], to="none")
         alone = min((left for n, left in after.items() if n not in pairs), default=before)
-        together = max(SMALLEST_GAP, alone - UNKNOWN_LEAVES * gap)
+        together = max(TOL.smallest_gap, alone - TOL.unknown_leaves * gap)
         together = min(together, float(np.sqrt(max(alone**2 - matters**2, 0.0))))
     if (leader := next(iter(out))) in pairs and after[leader] > together:
         out = _reduced(out, [n for n in out if n in pairs], to=main)
@@ -240,18 +231,11 @@ def decided(
     if ceiling is not None:
         after, before = {n: left / least for n, left in after.items()}, before / least
     leader = next(iter(out))
-    if leader not in pairs and after.get(leader, 0.0) > max(_EXPLAINED, UNKNOWN_LEAVES * before):
+    if leader not in pairs and after.get(leader, 0.0) > max(TOL.explained, TOL.unknown_leaves * before):
         out = _reduced(out, [n for n in out if n not in ("none", "unknown")], to="unknown")
     leader = next(iter(out))
-    rare = dict.fromkeys(pairs, WRONG_FORM_PAIRS) | ({"unknown": WRONG_FORM_LEAVES} if ceiling is None else {})
+    rare = dict.fromkeys(pairs, TOL.wrong_form_pairs) | ({"unknown": TOL.wrong_form_leaves} if ceiling is None else {})
     return _capped(out, leader, singles, rare[leader]) if leader in rare else out
-
-
-#: a name has to take away this share of the held-out gap to be an answer
-LEAST_SHARE = 0.1
-#: how often the right kind in a wrong form leaves more than UNKNOWN_LEAVES of a plain gap, and how often a second
-#: effect beside it leaves noise alone: 19 of 32 and 1 of 8 in `experiments/machines_exam/forms.csv`, by Laplace's rule
-WRONG_FORM_LEAVES, WRONG_FORM_PAIRS = 20.0 / 34.0, 2.0 / 10.0
 
 
 def _capped(probabilities: Mapping[str, float], leader: str, rivals: Sequence[str], odds: float) -> dict[str, float]:
@@ -267,15 +251,12 @@ def _capped(probabilities: Mapping[str, float], leader: str, rivals: Sequence[st
 
 def _reduced(probabilities: Mapping[str, float], refuted: Sequence[str], to: str | None = None) -> dict[str, float]:
     """Names that are refuted keep a tenth; the rest goes to one name, or to all others in proportion."""
-    lost = (1.0 - _REFUTED_KEEPS) * sum(probabilities[n] for n in refuted)
+    lost = (1.0 - TOL.refuted_keeps) * sum(probabilities[n] for n in refuted)
     heirs = [n for n in probabilities if n not in refuted and to in (None, n)]
     share = lost / max(sum(probabilities[n] for n in heirs), 1e-300)
-    factors = {n: _REFUTED_KEEPS if n in refuted else 1.0 + share if n in heirs else 1.0 for n in probabilities}
+    factors = {n: TOL.refuted_keeps if n in refuted else 1.0 + share if n in heirs else 1.0 for n in probabilities}
     out = {n: p * factors[n] for n, p in probabilities.items()}
     return dict(sorted(out.items(), key=lambda item: -item[1]))
-
-
-_REFUTED_KEEPS = 0.1
 
 
 def pair_bases(none: Candidate, singles: Mapping[str, Candidate], quiet: float, most: int) -> list[Candidate]:
@@ -285,12 +266,10 @@ def pair_bases(none: Candidate, singles: Mapping[str, Candidate], quiet: float, 
         return []
     best = min(c.fitted.cost for c in found)
     gain, whole = none.fitted.cost - best, none.fitted.cost - quiet
-    if best - quiet < _PAIR_WORTH or gain < _PAIR_GAIN * whole:
+    pair_worth, pair_gain = 5.0, 0.1
+    if best - quiet < pair_worth or gain < pair_gain * whole:
         return []
     return [c for c in found if none.fitted.cost - c.fitted.cost >= 0.5 * gain][:most]
-
-
-_PAIR_WORTH, _PAIR_GAIN = 5.0, 0.1
 
 
 def pairs_on(base: Candidate, catalogue: Sequence[EffectForm]) -> list[Hypothesis]:

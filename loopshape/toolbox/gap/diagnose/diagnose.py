@@ -18,7 +18,6 @@ from loopshape.toolbox.gap.diagnose.evidence import Evidence, Moves
 from loopshape.toolbox.gap.diagnose.hypothesis import candidates
 from loopshape.toolbox.gap.nouns.effect import Fix, fix_of
 from loopshape.toolbox.gap.nouns.gap_report import (
-    SMALLEST_GAP,
     BudgetPart,
     BudgetStep,
     Curve,
@@ -38,10 +37,10 @@ from loopshape.toolbox.gap.recordings.next_recording import repeat
 from loopshape.toolbox.gap.recordings.replay import tables as _tables
 from loopshape.toolbox.gap.recordings.software import software_check
 from loopshape.toolbox.gap.recordings.suitable import comparable, suitable
+from loopshape.toolbox.gap.tolerances import TOL
 
 PERIODIC_S = 10.0  # of a recording that repeats itself so much tells all
 BRIEF_S = 12.0  # of every recording, for a first look at all forms
-REFINED = 4  # single effects whose slopes are all taken anew
 PAIR_BASES, PAIRS_REFINED = 3, 3
 
 
@@ -117,7 +116,8 @@ def attribute_effect(
     coarse = attribute.screened(brief, candidates(plant), first_pass)
     best = attribute.best_forms(coarse)
     say("best effects")
-    fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(attribute.within_reach(best[:REFINED]), coarse)]
+    # single effects whose slopes are all taken anew
+    fine = [attribute.again(evidence, f, rounds=3) for f in _both_forms(attribute.within_reach(best[:4]), coarse)]
     singles = decide.best_by_name([decide.candidate(evidence, f, healthy, reached) for f in fine])
     everything = list(singles.values())
     for base in decide.pair_bases(none, singles, evidence.quiet, PAIR_BASES):
@@ -184,11 +184,8 @@ def _both_forms(best: Sequence[attribute.Fitted], coarse: Sequence[attribute.Fit
     out = list(best)
     for leader in best[:2]:
         same = [f for f in coarse if f.hypothesis.name == leader.hypothesis.name and f is not leader]
-        out += [f for f in sorted(same, key=lambda f: f.cost)[:1] if f.cost < leader.cost + _NEAR]
+        out += [f for f in sorted(same, key=lambda f: f.cost)[:1] if f.cost < leader.cost + 6.0]
     return out
-
-
-_NEAR = 6.0
 
 
 def diagnose(
@@ -227,14 +224,8 @@ def diagnose(
     chosen, rival = a.leading.fitted, a.rival
     many = [f.hypothesis.moves(f.phi) for f in (a.none.fitted, chosen, *([rival.fitted] if rival else []))]
     every = shrink.levels(plant, run, usable, many)
-    held = [shrink.chosen(level, "validation") for level in every] if validation else []
     healed = a.verdict not in ("none", "unknown")
-    gap = None
-    if validation:
-        after = held[0] if a.verdict == "none" else held[1]
-        of = None if a.verdict == "none" else a.leading.name
-        files = [r.info.file for r in validation]
-        gap = shrink.summary(held[0], after, of, (rival.name, held[2]) if rival and healed else None, files)
+    gap = _held_out(a, every, [r.info.file for r in validation]) if validation else None
     tables = _tables(plant, run, usable, many, say, notes) if table else (None, None)
     say("next experiment")
     other = (rival.name, many[2]) if rival else (a.none.name, many[0])
@@ -267,6 +258,14 @@ def diagnose(
         notes=notes,
         proposal=proposal,
     )
+
+
+def _held_out(a: Attribution, every: Sequence[shrink.Levels], files: Sequence[str]) -> shrink.Shrink:
+    """The gap of held-out recordings before and with the leading effect, and with its rival."""
+    held = [shrink.chosen(level, "validation") for level in every]
+    after, of = (held[0], None) if a.verdict == "none" else (held[1], a.leading.name)
+    rival = (a.rival.name, held[2]) if a.rival and a.verdict not in ("none", "unknown") else None
+    return shrink.summary(held[0], after, of, rival, files)
 
 
 def _decided(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribution:
@@ -306,11 +305,9 @@ def _decided(a: Attribution, run: Run, held_out: Sequence[Recording]) -> Attribu
 def _tracked(a: Attribution) -> list[str]:
     """Names that are followed on held-out recordings: the leaders, and others as long as they are probable."""
     leaders = _leaders(a)
-    others = [n for n, p in a.probabilities.items() if p >= _RARE and n in a.scored and n not in ("none", *leaders)]
-    return [*leaders, *others[: FOLLOWED - len(leaders)]]
-
-
-FOLLOWED, _RARE = 6, 0.01
+    searched, rare = 6, 0.01
+    others = [n for n, p in a.probabilities.items() if p >= rare and n in a.scored and n not in ("none", *leaders)]
+    return [*leaders, *others[: searched - len(leaders)]]
 
 
 def _floors(evidence: Evidence, stated: Collection[str]) -> tuple[Floor, ...]:
@@ -343,7 +340,7 @@ def _fix(a: Attribution, moves: Moves) -> Fix | None:
 
 
 def _share(before: float, after: float) -> float | None:
-    return None if before < SMALLEST_GAP else (before - after) / (before - 1.0)
+    return None if before < TOL.smallest_gap else (before - after) / (before - 1.0)
 
 
 def ranked(a: Attribution) -> list[Ranked]:

@@ -16,8 +16,8 @@ import numpy as np
 
 from loopshape.core.units import Array
 from loopshape.data.signal.run import Run
-from loopshape.toolbox.gap.nouns.gap_report import SMALLEST_GAP
 from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
+from loopshape.toolbox.gap.tolerances import TOL
 
 Moves = Mapping[str, float]
 
@@ -95,7 +95,8 @@ class Evidence:
             rows = parts[j * width : (j + 1) * width]
             self.known[key] = np.concatenate([values for row in rows for values in row.values()])
         out = [self.known[k] for k in keys]
-        while len(self.known) > _REMEMBERED:
+        remembered = 64
+        while len(self.known) > remembered:
             self.known.pop(next(iter(self.known)))
         return out
 
@@ -121,17 +122,14 @@ class Evidence:
         return np.array([np.mean((residual[c.part] / c.floor) ** 2) for c in self.cells])
 
 
-_REMEMBERED = 64
-
-
 def least(plant: SimulationModel, channels: Sequence[str]) -> Array:
     """Mean squares (cells,) below which nothing is left to explain, by the cells' channels.
 
     What a good model leaves has a form that names would take up, and differs from recording to recording: up to
-    SMALLEST_GAP floors it is no evidence. 0 where the floor is noise, which no name takes up.
+    `smallest_gap` floors it is no evidence. 0 where the floor is noise, which no name takes up.
     """
     stated = plant.stated if isinstance(plant, Statable) else frozenset[str]()
-    return np.array([SMALLEST_GAP**2 if channel in stated else 0.0 for channel in channels])
+    return np.array([TOL.smallest_gap**2 if channel in stated else 0.0 for channel in channels])
 
 
 def _cells(prepared: Sequence[Any], plant: SimulationModel, rows: Sequence[Mapping[str, Array]]) -> tuple[Cell, ...]:

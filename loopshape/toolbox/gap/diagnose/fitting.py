@@ -125,6 +125,7 @@ def _solve(h: Array, g: Array, low: Array, high: Array, free: Array) -> Array:
 def improve(evidence: Evidence, fitted: Fitted, rounds: int, *, all_slopes: bool) -> Fitted:
     """Some rounds of Gauss-Newton with halved steps where one does not pay; slopes of the spread anew if asked."""
     p = fitted.phi.size
+    enough = 0.08
     for _ in range(rounds):
         which = range(p) if all_slopes else range(fitted.hypothesis.n_free)
         fitted = with_slopes(evidence, fitted, which)
@@ -143,10 +144,9 @@ def improve(evidence: Evidence, fitted: Fitted, rounds: int, *, all_slopes: bool
         if better is None:
             return fitted
         gain, fitted = fitted.cost - better.cost, better
-        if gain < _ENOUGH:
+        if gain < enough:
             return fitted
     return fitted
 
 
-_ENOUGH = 0.08
 _SPREAD = 0.05  # a light hold on the spread: it decides only what the data leave open

@@ -13,9 +13,7 @@ from loopshape.toolbox.gap.diagnose.hypothesis import candidates
 from loopshape.toolbox.gap.nouns.gap_report import Visible
 from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
-ALIKE = 0.95  # cosine from which two effects are one to these recordings
 BRIEF_S = 12.0  # of every recording
-_HOLD = 1.0 / 3.0  # inverse variance of a tolerance that is uniform in -1..1, over its own
 
 
 def identifiability(
@@ -40,7 +38,8 @@ def identifiability(
     out = []
     for name, (magnitude, unit, signature) in found.items():
         size = float(np.sqrt(np.mean(signature**2)))
-        alike = tuple(n for n, (_, _, x) in found.items() if n != name and _cosine(signature, x) >= ALIKE)
+        # cosine from which two effects are one to these recordings
+        alike = tuple(n for n, (_, _, x) in found.items() if n != name and _cosine(signature, x) >= 0.95)
         out.append(Visible(name, abs(magnitude) * least / size if size > 0.0 else None, unit, alike))
     return out
 
@@ -53,7 +52,8 @@ def _signatures(evidence: Evidence, base: Fitted) -> dict[str, tuple[float, str,
     floor = np.concatenate([np.full(c.stop - c.start, c.floor) for c in evidence.cells])
     slopes = base.slopes / floor[:, None]
     h = slopes.T @ slopes / len(floor)
-    taken = np.linalg.pinv(h + _HOLD * 1e-3 * np.diag(np.diag(h)) + 1e-12 * np.eye(len(h))) if h.size else h
+    hold = 1.0 / 3.0  # inverse variance of a tolerance that is uniform in -1..1, over its own
+    taken = np.linalg.pinv(h + hold * 1e-3 * np.diag(np.diag(h)) + 1e-12 * np.eye(len(h))) if h.size else h
     out: dict[str, tuple[float, str, Array]] = {}
     for (hypothesis, phi), residual in zip(every, moved, strict=True):
         x = np.nan_to_num((base.residual - residual) / floor, nan=0.0, posinf=0.0, neginf=0.0)

@@ -13,8 +13,9 @@ from loopshape.core.units import Array
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.diagnose.evidence import Moves
-from loopshape.toolbox.gap.nouns.gap_report import SMALLEST_GAP, BudgetPart, BudgetStep, Shrink, Submodel
+from loopshape.toolbox.gap.nouns.gap_report import BudgetPart, BudgetStep, Shrink, Submodel
 from loopshape.toolbox.gap.nouns.plant import SimulationModel
+from loopshape.toolbox.gap.tolerances import TOL
 
 METRIC = "rms over the submodels' paths of measured less simulated outputs, each relative to its noise floor"
 WINDOWS = 8  # a recording is cut into so many for the bootstrap
@@ -68,7 +69,7 @@ _MOST = 1e4
 def shrink_of(before: Array, after: Array) -> float | None:
     """(before - after) / (before - 1) of gap sizes, None where there is hardly a gap."""
     b, a = float(np.sqrt(before.mean())), float(np.sqrt(after.mean()))
-    return None if b < SMALLEST_GAP else (b - a) / (b - 1.0)
+    return None if b < TOL.smallest_gap else (b - a) / (b - 1.0)
 
 
 def summary(
@@ -94,7 +95,7 @@ def interval_of(before: Array, after: Array) -> tuple[float, float] | None:
         return None
     rows, parts = _picks(before.shape[0], before.shape[2])
     b, a = (np.sqrt(x.mean(axis=1)[rows[:, :, None], parts].mean(axis=(1, 2))) for x in (before, after))
-    known = (b - a)[b >= SMALLEST_GAP] / (b - 1.0)[b >= SMALLEST_GAP]
+    known = (b - a)[b >= TOL.smallest_gap] / (b - 1.0)[b >= TOL.smallest_gap]
     return float(np.percentile(known, 2.5)), float(np.percentile(known, 97.5))
 
 

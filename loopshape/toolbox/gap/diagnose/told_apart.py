@@ -11,9 +11,6 @@ from loopshape.core.units import Array
 from loopshape.toolbox.gap.diagnose.decide import Candidate
 from loopshape.toolbox.gap.diagnose.evidence import Evidence
 
-SET = 0.9  # of the probability that the groups of an answer hold together
-CLEAR, DEVIATIONS = 1.0, 2.0  # of the logarithm of the evidence, and how many standard errors over recordings
-
 
 @dataclass(frozen=True, eq=False)
 class Scale:
@@ -41,7 +38,8 @@ class Scale:
         of = np.array([c.recording for c in self.evidence.cells])
         rows = np.array([by_cell[of == name].sum() for name in self.evidence.recordings])
         error = float(rows.std(ddof=1) * np.sqrt(rows.size)) if rows.size > 1 else float("inf")
-        return bool(abs(rows.sum()) >= max(CLEAR, DEVIATIONS * error))
+        clear, deviations = 1.0, 2.0  # of the logarithm of the evidence, and how many standard errors over recordings
+        return bool(abs(rows.sum()) >= max(clear, deviations * error))
 
 
 def groups(scale: Scale, scored: Mapping[str, Candidate], probabilities: Mapping[str, float]) -> list[tuple[str, ...]]:
@@ -61,7 +59,8 @@ def groups(scale: Scale, scored: Mapping[str, Candidate], probabilities: Mapping
     total = {id(g): sum(probabilities[n] for n in g) for g in out}
     out.sort(key=lambda g: -total[id(g)])
     held = np.cumsum([total[id(g)] for g in out])
-    return [tuple(g) for g in out[: int(np.searchsorted(held, SET)) + 1]]
+    # of the probability that the groups of an answer hold together
+    return [tuple(g) for g in out[: int(np.searchsorted(held, 0.9)) + 1]]
 
 
 def by_recording(scale: Scale, scored: Mapping[str, Candidate]) -> dict[str, str]:

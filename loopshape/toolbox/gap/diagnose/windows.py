@@ -14,8 +14,6 @@ from loopshape.toolbox.gap.diagnose.evidence import Evidence
 from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
 
 FIRST_S, SHORTEST_S, LONGEST_S = 0.2, 0.025, 25.6
-LOOK_WINDOWS, LOOK_S = 5.0, 3.0  # of each recording: so many windows, or seconds if these are more
-TICKS = 20  # of the slowest recording, in a window
 Log = Callable[[str], None]
 
 
@@ -31,7 +29,8 @@ def chosen(
     windowed = getattr(plant, "windowed", None)
     if windowed is None or not getattr(plant, "open_window", False):
         return against(plant, baseline, threads, say)
-    least = max(SHORTEST_S, TICKS / min(run.recording(name).rate_hz for name in names))
+    ticks = 20  # of the slowest recording, in a window
+    least = max(SHORTEST_S, ticks / min(run.recording(name).rate_hz for name in names))
     gains: dict[float, float] = {}
 
     def look(window_s: float) -> float:
@@ -71,7 +70,8 @@ def _gain(
     """Mean over cells of the logarithm of the gap over what a nameless push leaves; -inf where nothing can be told."""
     try:
         ready, run, names = against(plant, baseline, threads).readied(run, names)
-        longest = max(LOOK_S, LOOK_WINDOWS * window_s)
+        look_windows, look_s = 5.0, 3.0  # of each recording: so many windows, or seconds if these are more
+        longest = max(look_s, look_windows * window_s)
         evidence = Evidence.of(ready, run, names, longest, threads, longest)
     except BadSignalError:  # shorter than a window
         return -np.inf

@@ -34,7 +34,6 @@ class Dynamics(Enum):
     ERROR = auto()
 
 
-_LOWER = (0.2, 0.4, 0.6, 0.8)  # shares by which a limit may be lower: one that is not met moves nothing
 _DYNAMICS = {0: Dynamics.NONE, 1: Dynamics.INTEGRATOR, 2: Dynamics.FILTER, 3: Dynamics.FILTER}
 
 
@@ -144,6 +143,8 @@ class Actuators:
     def parameters(self) -> list[ModelParameter]:
         """Of actuators whose command is no effort: shares of the whole gain and of kp beside kv, the largest effort."""
         out, bias = [], self.numbers.efforts(self.numbers.nominal)["bias"]
+        # shares by which a limit may be lower: one that is not met moves nothing
+        lower = (0.2, 0.4, 0.6, 0.8)
         for a in self.servos:
             share, most = self._tolerance(a), self.numbers.most(a.row)
             effect = f"actuator_gain_error@{a.name}"
@@ -151,7 +152,7 @@ class Actuators:
             if bias[a.row, 1] and bias[a.row, 2]:
                 out.append(ModelParameter(f"{PROPORTIONAL}_{a.name}", 1.0, "1", 0.0, effect))
             if most > 0.0:
-                starts = tuple(-share * most for share in _LOWER)
+                starts = tuple(-share * most for share in lower)
                 out.append(ModelParameter(
                     f"{LIMIT}_{a.name}", most, self.numbers.unit(a.joint)[1], 0.0, f"actuator_saturation@{a.name}",
                     (-0.95 * most, most), starts=starts,

@@ -34,7 +34,6 @@ from loopshape.toolbox.gap.own.composed import CHANGE, INPUT, OUTPUT, PORT
 
 MODEL_FILE, FUNCTION_FILE = "gap_fixed.xml", "gap_fix.py"
 NEAR = 1e-5  # relative, between a patched model's masses and places and those that were fitted
-_POINT_M = 1e-4  # radius of a payload's geom: a point, as it was fitted
 
 
 def in_files(fix: Fix, model: Model, mechanism: Mechanism | None) -> Fix:
@@ -237,7 +236,8 @@ def _carrying(spec: Any, body: str, more: float, at: Any) -> None:
         name = f"{PAYLOAD}_{body}"
         while name in taken:
             name += "_more"
-        own.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[_POINT_M, 0.0, 0.0], pos=at, mass=more,
+        point_m = 1e-4  # radius of a payload's geom: a point, as it was fitted
+        own.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[point_m, 0.0, 0.0], pos=at, mass=more,
                      contype=0, conaffinity=0)  # fmt: skip
         return
     m = spec.compile()

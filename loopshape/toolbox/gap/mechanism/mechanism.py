@@ -284,13 +284,13 @@ class _Derived:
         if values not in self._known:
             found = self._numbers.at(dict(zip(self._names, values, strict=True)))
             own = [float(np.ravel(found[name])[place]) for name, place in self._fields] or [0.0]
-            if len(self._known) > _REMEMBERED:
+            remembered = 256
+            if len(self._known) > remembered:
                 self._known.clear()
             self._known[values] = self._tuple(*own)
         return self._known[values]
 
 
-_REMEMBERED = 256
 _JOINTS = {0: "free", 1: "ball"}  # mjJNT_FREE, mjJNT_BALL
 
 

@@ -26,7 +26,6 @@ from loopshape.toolbox.gap.mechanism.tracing import (
 )  # fmt: skip
 
 _HINGE = 3  # mjJNT_HINGE
-_STILL = 1e-12  # speed, so that no friction divides by nothing
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,7 @@ def _dry(joint: Joint, speed: Scalar, tape: Tape) -> Scalar:
     """Dry friction against the speed, smooth about 0."""
     if not isinstance(joint.dry, Term) and joint.dry == 0.0:
         return 0.0
-    slow = speed / (joint.creep * joint.dry + _STILL)
+    slow = speed / (joint.creep * joint.dry + 1e-12)  # speed, so that no friction divides by nothing
     return joint.dry * tape.value(f"math.tanh({slow.text})")
 
 

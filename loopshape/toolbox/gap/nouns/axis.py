@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown_keys
-from loopshape.toolbox.gap.nouns.machine import MATTERS, NO_EFFECT, Input, Model, ModelParameter, Output, Port
+from loopshape.toolbox.gap.nouns.machine import NO_EFFECT, Input, Model, ModelParameter, Output, Port
 
 #: unit of a rotary and of a linear axis, manufacturing tolerance, what a value beyond it means; "" is an error of it
 NUMBERS: dict[str, tuple[str, str, float, str]] = {
@@ -44,8 +44,6 @@ def axis(
     rotary: bool = True,
     window_s: float | None = None,
     name: str = "axis",
-    without: tuple[str, ...] = (),
-    matters: float = MATTERS,
 ) -> Model:
     """A servo axis for `gap`, from its numbers and the columns of its recordings.
 
@@ -55,7 +53,7 @@ def axis(
     load_inertia, load_damping, coupling_stiffness and coupling_damping of a load behind a coupling, in the units of the
     motor's side. SI of rad, or of m where `rotary` is false. `effort`, `position` and `load_position` are columns, or
     an `Input` and an `Output` each, with factors. A payload is looked for in kg m2 (kg of a linear axis) on the last
-    body.
+    body. What else a `Model` states, as `without` and `matters`, is set by `dataclasses.replace`.
 
     Refuses unknown names, missing ones, and a load's sensor without a load. Misleads where the gear's ratio is not in
     the factors.
@@ -87,8 +85,6 @@ def axis(
         outputs=tuple(outputs),
         ports=tuple(ports),
         window_s=window_s,
-        without=without,
-        matters=matters,
     )
 
 

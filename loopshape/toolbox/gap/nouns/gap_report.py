@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMAT = "loopshape-gap/1"
-SMALLEST_GAP = 1.5  # floors; below there is no gap to shrink
 
 
 def percent(p: float) -> str:

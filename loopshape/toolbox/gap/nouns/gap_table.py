@@ -11,13 +11,6 @@ from dataclasses import dataclass, field
 
 from loopshape.toolbox.gap.two_runs.level_dependence import LevelDependence
 
-#: a row counts as a difference where noise alone gives as much, anywhere in the table, in fewer of cases than this
-CHANCE = 0.05
-#: ... and where it is at least this large, relative to the response
-WORTH = 0.01
-#: a time response differs where its difference is this many times its floor
-LOUD = 3.0
-
 
 @dataclass(frozen=True, eq=False)
 class DistortionLevels:
@@ -106,7 +99,7 @@ class TimeRow:
     @property
     def loud(self) -> bool:
         """Whether the difference exceeds the noise floor."""
-        return self.ratio > LOUD
+        return self.ratio > 3.0  # a time response differs where its difference is this many times its floor
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +121,11 @@ class GapTable:
 
     def significant(self, row: GapRow) -> bool:
         """Whether a row stands out of the noise among all rows (Bonferroni at 5 %), and by 1 % at least."""
-        return row.p_value * max(len(self.rows), 1) < CHANCE and row.size >= WORTH
+        # a row counts as a difference where noise alone gives as much, anywhere in the table, in fewer of cases than
+        # this
+        chance = 0.05
+        worth = 0.01  # ... and where it is at least this large, relative to the response
+        return row.p_value * max(len(self.rows), 1) < chance and row.size >= worth
 
     @property
     def paths(self) -> tuple[str, ...]:

@@ -21,8 +21,6 @@ from loopshape.toolbox.gap.own.signals import ACTUATOR, SENSOR
 INPUT, OUTPUT, PORT, CHANGE = "input", "output", "port", "change"
 _SEED = 1
 _ALIKE = 1e-9  # of rates that are one
-_NEAR_REST = 1e-3
-_FORGOTTEN = 4.0  # time constants a window
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +160,8 @@ class Composed:
     def fastest(self) -> float:
         """Rate in 1/s of the model's fastest mode near rest, where nothing is clamped."""
         nx, values = len(self.model.states), self.values({})
-        at = _NEAR_REST * np.random.default_rng(_SEED).normal(size=nx)
+        near_rest = 1e-3
+        at = near_rest * np.random.default_rng(_SEED).normal(size=nx)
         step = 1e-6
         rows = [np.array(self.motion(0.0, at + step * e, self._still, values), dtype=float).ravel() for e in np.eye(nx)]
         slopes = (np.array(rows) - np.array(self.motion(0.0, at, self._still, values), dtype=float).ravel()) / step
@@ -185,7 +184,8 @@ class Composed:
             rates = np.subtract(at[0], at[1])
             if np.ptp(rates) <= _ALIKE * rates[0] and np.allclose(at[0], at[2], rtol=_ALIKE, atol=0.0):
                 out[k] = float(rates[0])
-        return {k: rate for k, rate in out.items() if rate * self.window_s > _FORGOTTEN}
+        forgotten = 4.0  # time constants a window
+        return {k: rate for k, rate in out.items() if rate * self.window_s > forgotten}
 
     @cached_property
     def hidden(self) -> list[int]:

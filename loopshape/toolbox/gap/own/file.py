@@ -108,11 +108,12 @@ def _axis(path: Path, words: ConfigTable) -> Model:
             else None,
             rotary=rotary,
             window_s=words.positive("window_s") if "window_s" in words.table else None,
-            matters=words.positive("matters", MATTERS),
             name=words.text("name", path.stem),
-            without=words.list_of_texts("without"),
         )
-        return replace(made, kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")))
+        return replace(
+            made, matters=words.positive("matters", MATTERS), without=words.list_of_texts("without"),
+            kinds=tuple(_kind(path.parent, w) for w in words.tables("kind")),
+        )  # fmt: skip
 
 
 def _with_tolerance(numbers: ConfigTable, name: str) -> float | tuple[float, float]:

@@ -16,26 +16,18 @@ import numpy as np
 from scipy.signal import lfilter
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.noise import noise_rms
 from loopshape.core.units import Array
 from loopshape.data.signal.recording import Recording
 from loopshape.toolbox.gap.own import kernel
 from loopshape.toolbox.gap.own.composed import Composed
-from loopshape.toolbox.gap.own.signals import actuated, sensed
+from loopshape.toolbox.gap.own.signals import actuated, noise_rms, sensed
 
 FASTEST_HZ, SLOWEST_HZ = 500.0, 500.0  # ticks of the simulation: faster recordings are thinned, slower ones divided
 LEAD = 0.1  # share of a window
 BLOCKS = 100  # compared values a window
 RIPPLE = 0.002  # share of the motion within a window that a good model leaves
-_PRIOR = 1.0 / 9.0  # an initial state lies within three ranges of the first guess
-_ROUNDING = 1e-12
 _STEP = 1e-4  # of a state's range, for slopes
-_ROUNDS = 4
-_SHORTER = 0.2  # of a step of the initial states, where the whole one does not pay
-_AS_PROMISED = 0.1  # of what straight lines promise of a step: one that lacks no more of it is not shortened
 CONVERGED = 6  # rounds for initial states of what is judged, not fitted
-_STABLE, _FINEST_HZ = 1.2, 2e4  # rate of a mode times the step, half of what the integration bears; no finer steps
-_SETTLED = 3.0  # time constants, after which a state that follows the inputs has forgotten its start
 RUN_AWAY = 1e5  # floors: a simulation that is further off has run away
 
 
@@ -101,7 +93,8 @@ def simulated_along(c: Composed, recording: Recording, longest_s: float | None) 
     block = max(1, round(c.window_s / tick_s / BLOCKS))
     lead = max(2, round(LEAD * c.window_s / tick_s))
     window = max(4, round(c.window_s / tick_s / block)) * block
-    settled = round(max((_SETTLED / rate for rate in c.lags.values()), default=0.0) / tick_s)
+    # time constants, after which a state that follows the inputs has forgotten its start
+    settled = round(max((3.0 / rate for rate in c.lags.values()), default=0.0) / tick_s)
     first = np.arange(settled, len(y) - lead - window + 1, window)
     if not first.size:
         raise BadSignalError(
@@ -114,7 +107,7 @@ def simulated_along(c: Composed, recording: Recording, longest_s: float | None) 
         start[:, k] = _lagging(c, u, k, rate, tick_s)[first]
     f = Followed(recording.info.name, tick_s, u, y, first, lead + window, lead, block, start, ranges, noise, own)
     f = replace(f, floor=_floor(c, f, noise))
-    for _ in range(_ROUNDS * bool(c.hidden)):
+    for _ in range(4 * bool(c.hidden)):
         change = _step(c, f, {})[:, c.hidden]
         f.start[:, c.hidden] += change
     return f
@@ -189,7 +182,8 @@ def simulated(c: Composed, f: Followed, m: Mapping[str, float], x0: Array, push:
         u = u + push.u
     out = np.empty((len(x0), f.length, len(c.model.states)))
     first = np.tile(f.first, len(x0) // len(f.first))
-    steps = max(1, int(np.ceil(f.tick_s * min(max(SLOWEST_HZ, c.fastest / _STABLE), _FINEST_HZ))))
+    stable, finest_hz = 1.2, 2e4  # rate of a mode times the step, half of what the integration bears; no finer steps
+    steps = max(1, int(np.ceil(f.tick_s * min(max(SLOWEST_HZ, c.fastest / stable), finest_hz))))
     driving = kernel.Driving(first, np.ascontiguousarray(u), f.tick_s, steps)
     c.run(m, c.values(m, f.constants), x0, driving, out)
     states = [out[:, :, c.model.states.index(o.state)] for o in c.model.outputs]
@@ -248,7 +242,9 @@ def shot(
 def _solved(slopes: Array, lacking: Array) -> Array:
     """Changes (windows, states) in ranges that explain what is lacking (windows, values) best."""
     h = np.einsum("wvi,wvj->wij", slopes, slopes)
-    hold = _PRIOR + _ROUNDING * np.trace(h, axis1=1, axis2=2)  # slopes of what runs away are no numbers to rely on
+    prior = 1.0 / 9.0  # an initial state lies within three ranges of the first guess
+    rounding = 1e-12
+    hold = prior + rounding * np.trace(h, axis1=1, axis2=2)  # slopes of what runs away are no numbers to rely on
     h += hold[:, None, None] * np.eye(slopes.shape[2])
     return np.asarray(np.linalg.solve(h, np.einsum("wvi,wv->wi", slopes, lacking)[:, :, None])[:, :, 0])
 
@@ -304,6 +300,7 @@ def _simulated(f: Followed, lacking: Array) -> Array:
 def started(c: Composed, f: Followed, m: Mapping[str, float], rounds: int) -> Started:
     """Where a recording starts under some moves."""
     x0 = extended(c, f, f.start)
+    as_promised = 0.1  # of what straight lines promise of a step: one that lacks no more of it is not shortened
     for _ in range(rounds):
         lacking, slopes, x0, free = shot(c, f, m, x0)
         change = np.zeros_like(x0)
@@ -312,8 +309,9 @@ def started(c: Composed, f: Followed, m: Mapping[str, float], rounds: int) -> St
         tried, moved = off(f, simulated(c, f, m, x0 + change)), x0 + change
         least = lacking - np.einsum("wvi,wi->wv", slopes, step)
         now, promised, then = (np.sum(v**2, axis=1) for v in (lacking, least, tried))
-        if (rows := np.flatnonzero(then > promised + _AS_PROMISED * (now - promised))).size:
-            some, shorter = replace(f, first=f.first[rows]), x0[rows] + _SHORTER * change[rows]
+        if (rows := np.flatnonzero(then > promised + as_promised * (now - promised))).size:
+            # of a step of the initial states, where the whole one does not pay
+            some, shorter = replace(f, first=f.first[rows]), x0[rows] + 0.2 * change[rows]
             less = off(some, simulated(c, some, m, shorter))
             pays = np.sum(less**2, axis=1) < then[rows]
             tried[rows[pays]], moved[rows[pays]] = less[pays], shorter[pays]

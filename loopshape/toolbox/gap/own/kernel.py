@@ -161,6 +161,16 @@ def _buffers(wide: int, nu: int) -> tuple[Array, ...]:
 
 
 @numba.njit(nogil=True, error_model="numpy")
+def _kept(f: Array, places: np.ndarray, x: Array, out: Array) -> None:
+    """States (nx,) of an extended state as they are seen: a port with a motor of its own shows that one's place."""
+    for i in range(out.size):
+        out[i] = x[i]
+    for j in range(places.shape[0] if x.size > out.size else 0):
+        if f[j, INERTIA] > 0.0:
+            out[places[j, POSITION]] = x[places[j, OWN] + MOTOR]
+
+
+@numba.njit(nogil=True, error_model="numpy")
 def windows(motion, law, acting, x0, driving, out):  # type: ignore[no-untyped-def]
     """Fill out (windows, length, nx): states at each row of the inputs from x0 (windows, extended).
 
@@ -176,12 +186,8 @@ def windows(motion, law, acting, x0, driving, out):  # type: ignore[no-untyped-d
         for i in range(wide):
             x[i], other_x[i] = x0[one, i], x0[other, i]
         for n in range(out.shape[1]):
-            for i in range(nx):
-                out[one, n, i], out[other, n, i] = x[i], other_x[i]
-            for j in range(places.shape[0] if wide > nx else 0):
-                if f[j, INERTIA] > 0.0:
-                    motor = places[j, OWN] + MOTOR
-                    out[one, n, places[j, POSITION]], out[other, n, places[j, POSITION]] = x[motor], other_x[motor]
+            _kept(f, places, x, out[one, n])
+            _kept(f, places, other_x, out[other, n])
             for i in range(nu):
                 row[i], other_row[i] = u[first[one] + n, i], u[first[other] + n, i]
             t, other_t = (first[one] + n) * tick_s, (first[other] + n) * tick_s

@@ -25,15 +25,10 @@ BOTH = {
 }  # fmt: skip
 OF_INPUTS = {9.80665: "as between kilograms force and newtons"}
 OF_OUTPUTS = {9.5492966: "as between revolutions a minute and rad/s"}
-GAINS = (0.1, 0.33, 0.5, 1.5, 2.0, 3.0)  # what a wrong parameter may do instead
-STATED = 3.0  # a number of the model below is no factor that is taken twice or left out
-GOOD = 5.0  # floors, below which nothing is mapped wrongly
 CLEAR, NEAR = 2.0, 1.25  # misfits as mapped, and of neighbours, over that of a slip
 ALIKE, SAME = 1.5, 3.0  # misfits of slips that cannot be told apart: of other columns, of factors alike where the
-LOPSIDED = 0.5  # misfits beside the best one say that a gap stands beside the slip
 BESIDE, TWICE = 1.5, 2.0  # a neighbour's factor; factors that a gap beside the slip may confuse
 FIRST, WINDOWS, STATES = 12, 48, 4  # windows for a first look at all slips and for the best, fewer of more states
-REFINED = 8
 
 
 @dataclass(frozen=True)
@@ -61,17 +56,19 @@ def check(c: Composed, prepared: Sequence[Followed]) -> None:
     """Refuse columns whose sign, unit or zero is wrong by a plain slip; every other gap is left to the diagnosis."""
     some = _thinned(c, prepared, WINDOWS)
     mapped = misfit(c, some, Slip())
-    if mapped < GOOD:
+    if mapped < 5.0:  # floors, below which nothing is mapped wrongly
         return
     tried = _best(c, _thinned(c, prepared, FIRST), list(slips(c)))
-    tried = _best(c, some, [s for left, s in tried if left < SAME * tried[0][0]][:REFINED])
+    refined = 8
+    tried = _best(c, some, [s for left, s in tried if left < SAME * tried[0][0]][:refined])
     least, best = tried[0]
     if mapped < CLEAR * least:
         return
-    gain = min(misfit(c, some, replace(s, factor=q)) for s in _columns(c) for q in GAINS)
+    gains = (0.1, 0.33, 0.5, 1.5, 2.0, 3.0)  # what a wrong parameter may do instead
+    gain = min(misfit(c, some, replace(s, factor=q)) for s in _columns(c) for q in gains)
     near, far = sorted(float(np.log(misfit(c, some, s) / least)) for s in best.neighbours)
     if gain > CLEAR * least and near > np.log(NEAR):
-        same = SAME if near < LOPSIDED * far else 1.0
+        same = SAME if near < 0.5 * far else 1.0  # misfits beside the best one say that a gap stands beside the slip
         _refuse(c, mapped, [(left, s) for left, s in tried if left <= (same if _same(s, best) else ALIKE) * least])
 
 
@@ -130,7 +127,8 @@ def _factors(c: Composed, where: Slip) -> dict[float, str]:
     if len(ends) == 1:
         stated[ends[0].factor] = f"as large as the factor that {ends[0].name} has"
     own = {max(abs(v), 1.0 / abs(v)): words for v, words in stated.items() if v}
-    return {v: words for v, words in own.items() if v > STATED} | BOTH | (OF_INPUTS if where.inputs else OF_OUTPUTS)
+    # a number of the model below is no factor that is taken twice or left out
+    return {v: words for v, words in own.items() if v > 3.0} | BOTH | (OF_INPUTS if where.inputs else OF_OUTPUTS)
 
 
 def _thinned(c: Composed, prepared: Sequence[Followed], windows: int) -> list[Followed]:

@@ -22,8 +22,6 @@ from loopshape.toolbox.gap.own.following import Followed, Push
 
 SPEEDS, POSITIONS, SIZES = 6, 12, 9  # knots a side of 0, over the travel, over the range of a signal
 FINER = 7  # knots over the travel for each of these, where a force changes within it (cogging)
-_LATE = (0.01, 0.03, 0.1)  # of a window
-_SMALL = 1e-3  # of the largest that is measured: pushes so small are straight lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,11 +114,12 @@ class Shapes:
     def columns(self, f: Followed, m: Mapping[str, float]) -> dict[str, Array]:
         """What each shape at a place does to the outputs (n, k), output by output, in their units a unit of push."""
         pushes, factors, counts = [], [], []
+        small = 1e-3  # of the largest that is measured: pushes so small are straight lines
         for place, axes in self.axes.items():
             signals = _signals(self.composed, f, place)
             rows = np.concatenate([_columns(axis, signals[axis.over]) for axis in axes], axis=1)
             scales = np.maximum(np.abs(rows).max(axis=0), 1e-300)
-            step = _SMALL * _size(self.composed, f, place)
+            step = small * _size(self.composed, f, place)
             pushes += [self._push(f, place, step * column) for column in (rows / scales).T]
             factors.append(scales / step)
             counts.append(len(scales))
@@ -175,7 +174,7 @@ def _signals(c: Composed, f: Followed, place: str) -> dict[str, Array]:
     inputs = [i.name for i in model.inputs]
     if place in inputs:
         u = f.u[:, inputs.index(place)]
-        late = {f"late by {share:g} windows": _late(f, u, share) - u for share in _LATE}
+        late = {f"late by {share:g} windows": _late(f, u, share) - u for share in (0.01, 0.03, 0.1)}  # of a window
         return {"command": u, **late}
     y = f.y[:, [o.name for o in model.outputs].index(place)]
     return {"reading": y, "slope": _slope(f, y, 1), "curvature": _slope(f, y, 2)}

@@ -29,9 +29,6 @@ ENOUGH = 12  # recordings times outputs, below which recordings are cut into pie
 RARE = (0.8, 0.95, 0.99, 0.997)  # shares of the commands
 FEW_LEAVE = 3.0  # medians: a window of a good machine that leaves more has run away, or met something else
 _FEWEST = 3  # windows a piece
-_FAR = 2.0  # how much farther means of windows lie apart than a machine moves within one
-_PUSHES = (1.0, 1e-3, 1e-6)  # of a port's force, smaller ones where all windows run away under a larger one
-_ROOM = 0.02  # of what was seen: a simulation's outputs may be further off than its commands
 
 
 class OwnMachine:
@@ -145,7 +142,8 @@ class OwnMachine:
         port = next(p for p in self.model.ports if p.name == name)
         place, speed = (self.model.states.index(s) for s in (port.position, port.speed))
         starts = np.concatenate([f.start for f in prepared])
-        force = next((x for push in _PUSHES if (x := self._moving(name, prepared, push)) > 0.0), 0.0)
+        pushes = (1.0, 1e-3, 1e-6)  # of a port's force, smaller ones where all windows run away under a larger one
+        force = next((x for push in pushes if (x := self._moving(name, prepared, push)) > 0.0), 0.0)
         low, high = float(starts[:, place].min()), float(starts[:, place].max())
         unit = next((o.unit for o in self.model.outputs if o.state == port.position and o.unit != "1"), "")
         return PortScale(force, max(float(np.std(starts[:, speed])), 1e-12), low, max(high, low + 1e-9), most, unit)
@@ -194,7 +192,8 @@ class OwnMachine:
             if self.model.states.index(o.state) in self.composed.speeds:
                 parts = [p for r in recordings for p in self._stretches(o.factor * r.column(o.column) + o.offset, r)]
                 low, high = min(p.min() for p in parts), max(p.max() for p in parts)
-                far = np.std([p.mean() for p in parts]) > _FAR * np.mean([p.std() for p in parts])
+                # how much farther means of windows lie apart than a machine moves within one
+                far = np.std([p.mean() for p in parts]) > 2.0 * np.mean([p.std() for p in parts])
                 if not (high - low >= 0.5 * np.pi if is_angle(o) else far):
                     out[o.column] = (float(low), float(high))
         return out
@@ -275,7 +274,8 @@ class OwnMachine:
 
 def _inside(values: Array, seen: Array) -> bool:
     """Whether columns (n, k) stay within what was seen of them (m, k)."""
-    room = _ROOM * np.ptp(seen, axis=0)
+    # of what was seen: a simulation's outputs may be further off than its commands
+    room = 0.02 * np.ptp(seen, axis=0)
     return bool(np.all(values.min(axis=0) >= seen.min(axis=0) - room) and np.all(values <= seen.max(axis=0) + room))
 
 

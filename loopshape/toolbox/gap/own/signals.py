@@ -9,7 +9,6 @@ from scipy.signal import lfilter
 
 from loopshape.core.units import Array
 
-SECOND_ORDER = 2.0
 #: number of an actuator or a sensor -> its neutral value, unit
 ACTUATOR = {
     "delay_ms": (0.0, "ms"), "lag_ms": (0.0, "ms"), "lag_order": (1.0, "1"), "gain": (0.0, "1"),
@@ -58,7 +57,8 @@ def _shifted(values: Array, n: int) -> Array:
 
 def lagged(values: Array, ticks: float, order: float) -> Array:
     """Values (..., n) behind one first-order lag, or two equal ones, of `ticks` altogether; settled at the first."""
-    times = (0.5 * ticks, 0.5 * ticks) if order == SECOND_ORDER else (ticks,)
+    second_order = 2.0
+    times = (0.5 * ticks, 0.5 * ticks) if order == second_order else (ticks,)
     for each in times:
         pole = each / (1.0 + each)  # so that a ramp is late by `each` exactly
         values, _ = lfilter([1.0 - pole], [1.0, -pole], values, axis=-1, zi=pole * values[..., :1])
@@ -92,3 +92,17 @@ def _limited(values: Array, limit: float, knee: float) -> Array:
 def sensed(truth: Array, m: Mapping[str, float], tick_s: float) -> Array:
     """What a sensor reads (..., n) of the truth (..., n)."""
     return (1.0 + m["gain"]) * _late(truth, m, tick_s) + m["offset"]
+
+
+def noise_rms(values: Array) -> float:
+    """White noise's rms from third differences, in which a smooth signal vanishes; the median of blocks (Rice 1984).
+
+    Not below the noise of rounding to the smallest step that occurs.
+    """
+    third = np.diff(values, 3)
+    n = third.size // 50 * 50
+    squares = np.mean((third[:n] ** 2).reshape(-1, 50), axis=1)
+    steps = np.abs(np.diff(values))
+    steps = steps[steps > 1e-9 * np.ptp(values)] if np.ptp(values) > 0.0 else np.array([1e-9])
+    rounding = float(np.min(steps)) / np.sqrt(12.0)
+    return max(float(np.sqrt(np.median(squares) / 20.0)), rounding, 1e-12)

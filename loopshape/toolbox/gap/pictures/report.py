@@ -18,13 +18,10 @@ from loopshape.view.style import COLOURS, FULL_WIDTH_IN, QUIET, axes_or_new, sty
 
 MEASURED = "0.1"
 LEAST, MOST = 4, 5  # hypotheses that are shown
-LEAST_PROBABILITY = 0.001  # a hypothesis below is shown only to fill the least
 _LINE = 96  # characters of the title's lines
 #: letters of sizes that fit below a hypothesis's name at a size that can be read in print
 LONGEST = 58
-_WINDOW_S = (3.0, 10.0)
 CURVES, ROOM = 2, 0.6  # of a missing force, side by side at most; above and below them, of their height
-_LONG = 40  # characters of a name that leaves room for two columns of the key
 
 
 @styled()
@@ -48,7 +45,8 @@ def gap_figure(report: GapReport) -> Figure:
     _headed(hypotheses(report, ax=left), "b", "Which", "leading hypotheses, size and 95 % interval")
     _headed(distances(report, ax=right), "c", "How far", _distance(report), x=-0.1)
     handles, texts = right.get_legend_handles_labels()
-    columns = -(-len(texts) // legend_rows) if max(map(len, texts)) < _LONG else 2
+    long = 40  # characters of a name that leaves room for two columns of the key
+    columns = -(-len(texts) // legend_rows) if max(map(len, texts)) < long else 2
     parts[1].legend(handles, texts, loc="outside lower center", ncols=columns)
     if shown:
         above, below = parts[2].subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [1.7, 1.0]})
@@ -92,7 +90,7 @@ def _headed(ax: Axes, letter: str, word: str, rest: str, x: float = 0.0) -> None
 
 def leading(ranking: Sequence[Ranked]) -> list[Ranked]:
     """The most probable hypotheses: those that count, some at least and not too many."""
-    counted = sum(r.probability >= LEAST_PROBABILITY for r in ranking)
+    counted = sum(r.probability >= 0.001 for r in ranking)  # a hypothesis below is shown only to fill the least
     return list(ranking[: min(max(counted, LEAST), MOST)])
 
 
@@ -143,7 +141,8 @@ def window(report: GapReport, trace: Trace) -> tuple[slice, float]:
     It lasts two periods of the band's lower end, a few seconds at least.
     """
     step = float(trace.t_s[1] - trace.t_s[0])
-    seconds = float(np.clip(2.0 / max(report.where.band_hz[0], 1e-3), *_WINDOW_S))
+    window_s = (3.0, 10.0)
+    seconds = float(np.clip(2.0 / max(report.where.band_hz[0], 1e-3), *window_s))
     n = min(round(seconds / step), trace.t_s.size)
     square, other = (trace.measured - trace.nominal) ** 2, (trace.measured - trace.with_effect) ** 2
     if np.allclose(square, other):

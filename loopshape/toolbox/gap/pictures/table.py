@@ -18,10 +18,6 @@ from loopshape.toolbox.gap.nouns.gap_table import GapRow, GapTable
 from loopshape.view.labels import number, quantity, symbol
 from loopshape.view.style import FULL_WIDTH_IN, QUIET, axes_or_new, figure_of, styled, wrapped
 
-#: sizes that the colours span, in percent
-SPAN_PERCENT = (1.0, 100.0)
-#: with more columns than this the cells hold no numbers
-MOST_NUMBERS = 14
 #: from this size on ink on a cell is white, in percent
 DARK_PERCENT = 17.0
 _BESIDE_IN, _LETTER_IN = 2.2, 0.06  # what stands beside the cells, a letter of 7 pt
@@ -47,14 +43,16 @@ def gap_map(table: GapTable, *, ax: Axes | None = None) -> Axes:
     ax = axes_or_new(ax, (_width(len(columns)), 1.3 + 0.155 * height))
     ax.set_xlim(0.0, len(columns))
     ax.set_ylim(height, 0.0)
-    norm, colours = LogNorm(*SPAN_PERCENT), _colours()
+    span_percent = (1.0, 100.0)  # sizes that the colours span, in percent
+    norm, colours = LogNorm(*span_percent), _colours()
+    most_numbers = 14  # with more columns than this the cells hold no numbers
     for row in table.rows:
         corner = (columns.index(column_of[row.recording]), places[(row.path, row.loop, *row.band_hz)])
         significant = table.significant(row)
         face = colours(norm(100.0 * row.size)) if significant else "0.94"
         name = "significant" if significant else "not significant"
         ax.add_patch(Rectangle(corner, 1.0, 1.0, facecolor=face, edgecolor="white", linewidth=0.7, gid=name))
-        if len(columns) <= MOST_NUMBERS:
+        if len(columns) <= most_numbers:
             _write(ax, corner, row, significant)
     _label_lines(ax, places, headings)
     _label_columns(ax, table, column_of, columns)

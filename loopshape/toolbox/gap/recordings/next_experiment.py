@@ -27,15 +27,10 @@ from loopshape.toolbox.gap.nouns.plant import Plant
 from loopshape.toolbox.gap.recordings.probing import Habits, habits, sampled
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
-SHARES = (0.4, 1.0, 2.0)  # of the run's own amplitudes
-STAIR_SHARES = (0.4, 1.0)
 PERIOD_S, RAMP_S, LEAD_S, PERIODS = 10.0, 1.0, 1.0, 2
 STAIR_S = (1.0, 4.0, 7.0, 10.0)
-OWN_POINTS, OTHER_POINTS = 4, 2
 SEEDS = (11, 12)
-_FINEST = 1e-4  # of an output's span: noise below it counts as so much
 MOST_CLIPPED = 0.02  # share of samples in which the PWM may be saturated
-_NOTHING = 2.0
 
 Point = Mapping[str, float]
 
@@ -105,7 +100,8 @@ def points(plant: Plant, run: Run, many: Sequence[Moves]) -> list[dict[str, floa
         return min(sum(((corner[k] - p[k]) / max(spans[k][-1] - spans[k][0], 1e-9)) ** 2 for k in spans) for p in own)
 
     others = sorted((c for c in corners if c not in own and _stands(plant, c, many)), key=far, reverse=True)
-    return own[:OWN_POINTS] + others[:OTHER_POINTS]
+    own_points, other_points = 4, 2
+    return own[:own_points] + others[:other_points]
 
 
 def _span(values: Sequence[float]) -> tuple[float, ...]:
@@ -126,16 +122,17 @@ def _stands(plant: Plant, point: Point, many: Sequence[Moves]) -> bool:
 def _templates(run: Run, usual: Habits, point: Point, *, pulses: bool) -> Iterator[tuple[ExperimentTemplate, str]]:
     """What to do at one operating point, with the amplitude in words."""
     for loop, (amplitude, injection, band) in usual.injected.items():
-        for share in SHARES:
+        for share in (0.4, 1.0, 2.0):  # of the run's own amplitudes
             signal = Multisine(*band, PERIOD_S, share * amplitude, PERIODS, ramp_s=RAMP_S, seed=1)
             name = f"next-multisine-{loop}"
             made = ExperimentTemplate(name, "multisine", injection, loop, signal, lead_s=LEAD_S)
             yield made, f"a multisine of {loop} at {_times(share)}"
+    stair_shares = (0.4, 1.0)
     for loop, size in usual.moved.items():
         rest = _reference(run.loop(loop), point)
         if rest is None:
             continue
-        for share in STAIR_SHARES:
+        for share in stair_shares:
             values = tuple(rest + share * size * k for k in (1.0, 0.0, -1.0, 0.0))
             made = ExperimentTemplate(
                 f"next-staircase-{loop}", "staircase", "reference", references={loop: Staircase(STAIR_S, values)},
@@ -203,9 +200,10 @@ def separations(
 
 def _separation(outputs: Sequence[str], first: Recording, again: Recording, second: Recording) -> float:
     ratios = []
+    finest = 1e-4  # of an output's span: noise below it counts as so much
     for column in outputs:
         a, b, c = (r.column(column) for r in (first, again, second))
-        noise = max(_rms(a - b), _FINEST * float(np.ptp(a)), 1e-12)
+        noise = max(_rms(a - b), finest * float(np.ptp(a)), 1e-12)
         ratios.append(_rms(a - c) / noise)
     return _rms(np.array(ratios))
 
@@ -228,7 +226,8 @@ def _proposal(plant: Plant, run: Run, chosen: Sequence[Candidate], parts: tuple[
     where = ", ".join(f"{v:g} {k.rsplit('_', 1)[-1]}" for k, v in best.point.items())
     does = f"{best.what} at ({where}), {seconds:g} s"
     verb = f"parts {parts[0]} from {parts[1]} by {value:.2g} noise floors"
-    if value < _NOTHING:
+    nothing = 2.0
+    if value < nothing:
         verb = (
             f"is the best that was found, yet it separates {parts[0]} from {parts[1]} by {value:.2g} noise floors only"
         )

@@ -20,7 +20,6 @@ from loopshape.toolbox.gap.nouns.gap_report import Proposal
 from loopshape.toolbox.gap.nouns.plant import SimulationModel
 
 SHARES = (0.4, 0.7, 1.0, 1.4, 2.0)  # of the recording's own size
-NOTHING = 2.0  # floors, below which nothing is separated
 _MOST = 1e4  # floors: a simulation that is further off has run away
 
 
@@ -58,7 +57,8 @@ def repeat(
         size = f"with commands {share:g} times as large, within the commands and outputs seen"
     parts = f"{first[0]} from {second[0]} by {best:.2g} noise floors"
     here = "" if share == 1.0 else f" ({values[name, 1.0]:.2g} at its own size)"
-    verb = f"separates {parts}" if best >= NOTHING else f"is the best that was found, yet it separates {parts} only"
+    nothing = 2.0  # floors, below which nothing is separated
+    verb = f"separates {parts}" if best >= nothing else f"is the best that was found, yet it separates {parts} only"
     return Proposal(name, (first[0], second[0]), best, None, f"record {name} again {size}: it {verb}{here}")
 
 

@@ -14,10 +14,6 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.rig.study import ExperimentTemplate
 
-INNER = (0.01, 0.99)  # shares of an injected signal's power below its band's ends
-STAIR_OF_AMPLITUDE = 0.5  # a reference that the run never moved is moved by so much of the injected amplitude
-PULSE_S = (0.05, 1.0)
-
 
 @dataclass(frozen=True, eq=False)
 class Habits:
@@ -34,7 +30,8 @@ def habits(run: Run) -> Habits:
     moved = {loop.name: size for loop in run.loops if (size := _moved(run, loop.reference)) > 0.0}
     if not moved and injected:
         first = next(iter(injected))
-        moved = {first: STAIR_OF_AMPLITUDE * injected[first][0]}
+        stair_of_amplitude = 0.5  # a reference that the run never moved is moved by so much of the injected amplitude
+        moved = {first: stair_of_amplitude * injected[first][0]}
     driven = {loop.name: pulse for loop in run.loops if (pulse := _driven(run, loop.control))}
     return Habits(injected, moved, driven)
 
@@ -56,7 +53,8 @@ def band_hz(recording: Recording, column: str) -> tuple[float, float]:
     values = recording.column(column)
     power = np.abs(np.fft.rfft(values - values.mean())) ** 2
     share = np.cumsum(power) / power.sum()
-    low, high = (np.searchsorted(share, s) * recording.rate_hz / values.size for s in INNER)
+    inner = (0.01, 0.99)  # shares of an injected signal's power below its band's ends
+    low, high = (np.searchsorted(share, s) * recording.rate_hz / values.size for s in inner)
     return float(np.round(max(low, 0.1), 1)), float(np.round(min(max(high, low + 1.0), 0.4 * recording.rate_hz), 1))
 
 
@@ -69,13 +67,14 @@ def _moved(run: Run, reference: str | None) -> float:
 
 def _driven(run: Run, control: str) -> tuple[float, float] | None:
     """Height and width in s of the first pulse of z in the open-loop recordings; None without one."""
+    pulse_s = (0.05, 1.0)
     for r in (r for r in run.recordings if not r.info.closed_loop and control in r.columns):
         z = r.column(control)
         on = np.abs(z) > 0.5 * np.abs(z).max()
         if on.any() and not on.all():
             start = int(np.argmax(on))
             width = int(np.argmin(on[start:])) or on.size - start
-            return float(np.abs(z).max()), float(np.clip(width / r.rate_hz, *PULSE_S))
+            return float(np.abs(z).max()), float(np.clip(width / r.rate_hz, *pulse_s))
     return None
 
 

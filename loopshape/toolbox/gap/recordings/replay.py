@@ -17,8 +17,6 @@ from loopshape.toolbox.gap.nouns.gap_table import GapTable
 from loopshape.toolbox.gap.nouns.plant import SimulationModel
 from loopshape.toolbox.gap.two_runs.table import compare
 
-LEAD_S = 4.0  # the rig was under control before: so long the model stands at the first references
-
 
 def tables(
     plant: SimulationModel,
@@ -81,7 +79,8 @@ def replayed(plant: SimulationModel, run: Run, moves: Moves) -> Run:
 
 def _lead(run: Run) -> int:
     ticks = run.rate_hz / run.pwm.get("frequency_hz", run.rate_hz)
-    return round(round(LEAD_S * run.rate_hz / ticks) * ticks)
+    lead_s = 4.0  # the rig was under control before: so long the model stands at the first references
+    return round(round(lead_s * run.rate_hz / ticks) * ticks)
 
 
 def _experiment(run: Run, recording: Recording, seed: int) -> Experiment:

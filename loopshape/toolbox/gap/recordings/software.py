@@ -12,21 +12,18 @@ from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 
-START_S = 2.0  # the controller's state at the first sample follows from so much, by least squares
-CLEAR = 8.0  # a difference over what z's own grid explains
-_ALLOWED = 1e-3
-
 
 def software_check(run: Run) -> list[str]:
     """A sentence for each loop and recording whose z is not its controller's answer; empty where all is as stated."""
     out = []
+    allowed = 1e-3
     for recording in run.recordings:
         for loop in run.loops:
             try:
                 off = difference(recording, loop)
             except BadSignalError:  # the reference or the like is damaged: only this check needs it
                 continue
-            if off is not None and off > _ALLOWED:
+            if off is not None and off > allowed:
                 out.append(
                     f"{recording.info.file}: z of loop {loop.name} is not what its controller answers to r, n and y "
                     f"(off by {100.0 * off:.2g} % rms): software or timing, not the plant"
@@ -44,7 +41,8 @@ def difference(recording: Recording, loop: LoopSetup) -> float | None:
     if recording.info.injection == "controller_input":
         error = error + recording.column(str(loop.injected))
     z = recording.column(loop.control)
-    first = round(START_S * recording.rate_hz)
+    start_s = 2.0  # the controller's state at the first sample follows from so much, by least squares
+    first = round(start_s * recording.rate_hz)
     if z.size < 2 * first:
         return None
     sections = loop.controller.biquads()
@@ -53,7 +51,7 @@ def difference(recording: Recording, loop: LoopSetup) -> float | None:
     grid = np.median(np.abs(np.diff(np.unique(z)))) if np.unique(z).size > 1 else 0.0
     scale = float(np.sqrt(np.mean(z[first:] ** 2))) + 1e-12
     off = float(np.sqrt(np.mean(rest**2)))
-    return 0.0 if off < CLEAR * grid else off / scale
+    return 0.0 if off < 8.0 * grid else off / scale  # a difference over what z's own grid explains
 
 
 def recomputed(sections: Array, error: Array, z_first: Array) -> Array:

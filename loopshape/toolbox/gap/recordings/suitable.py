@@ -16,9 +16,6 @@ from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.plant import SimulationModel, Statable
 
 SHORTEST_S = 3.0
-RUN = 10  # equal samples in a row
-LIVELIER = 1.5  # rms of a column about its mean over that on the baseline
-SATURATED = 0.02  # share of samples at a measured signal's ends
 
 
 def suitable(plant: SimulationModel, run: Run) -> tuple[list[str], list[Recording]]:
@@ -94,9 +91,10 @@ def _livelier(plant: SimulationModel, recordings: Sequence[Recording], baseline:
         return float(np.sqrt(np.mean([np.var(r.column(column)) for r in of if column in r.columns])))
 
     out = []
+    livelier = 1.5  # rms of a column about its mean over that on the baseline
     for c in plant.needs:
         here, there = varying(c, recordings), varying(c, baseline)
-        if here > LIVELIER * there > 0.0:
+        if here > livelier * there > 0.0:
             out.append(
                 f"{c} varies {here / there:.2g} times as much as on the baseline: a good model may leave more than "
                 "the floor; record the good machine with as much motion"
@@ -155,11 +153,12 @@ def _fault(plant: SimulationModel, run: Run, recording: Recording) -> str:
     if not plant.stays_in_range(recording, run):
         return f"{file} leaves the model's range: it is left out; keep inside what the model describes"
     outputs = {c for loop in run.loops for c in sum_terms(loop.output)} & set(plant.needs)
+    saturated = 0.02  # share of samples at a measured signal's ends
     for column in sorted(outputs):
         if np.ptp(values[column]) == 0.0:
             return f"{file}: {column} never moves: a dead sensor, left out"
         stuck = at_its_ends(values[column])
-        if stuck > SATURATED:
+        if stuck > saturated:
             return f"{file}: {column} rests at its end in {stuck:.0%} of the samples: saturated, left out"
     return ""
 
@@ -171,7 +170,7 @@ def at_its_ends(values: Array) -> float:
     """
     starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1])
     lengths = np.diff(np.concatenate([starts, [values.size]]))
-    long = lengths >= RUN
+    long = lengths >= 10  # equal samples in a row
     ends = np.isin(values[starts], (values.min(), values.max()))
     there, elsewhere = int(lengths[long & ends].sum()), int(lengths[long & ~ends].sum())
     return there / values.size if there > elsewhere else 0.0

@@ -25,16 +25,14 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.signals import instrument
 from loopshape.identify.smooth.resonances import Resonance, resonances
 from loopshape.identify.spectra.averages import pooled_variance
+from loopshape.toolbox.gap.tolerances import TOL
 from loopshape.toolbox.gap.two_runs.level_dependence import Bend, Change, LevelDependence
 from loopshape.toolbox.gap.two_runs.table_paths import known_lines, on_common_lines
 
 APART = 1.25  # ratio of levels, below which two recordings are of one level
 FEWEST = 8  # frequencies for a mean gain
 NEAR = 0.3  # a resonance that moves further is another
-TAIL = 4.0  # half widths about a resonance that are left out of the gain
-CHANCE = 0.005  # of calling a quantity of a linear machine dependent
 _NEPER_DB = 8.685889638
-MISSED = 16.0  # squared error of a cubic over every second line, over that of the cubic itself, at the least
 LEAST_GAIN_DB, LEAST_SHIFT = 0.02, 2e-4  # what estimators may bias an FRF by
 
 
@@ -148,7 +146,8 @@ def _interpolated(coarse: FRF, fine: FRF) -> tuple[FRF, FRF] | None:
         return None
     coarse, f, near = coarse.select(inside), f[inside], near[inside]
     halves = [np.abs(CubicSpline(g[k::2], G[k::2])(g) - G) ** 2 for k in (0, 1)]
-    missed = uniform_filter1d(np.sum(halves, axis=0), 3, mode="nearest") / MISSED
+    # squared error of a cubic over every second line, over that of the cubic itself, at the least
+    missed = uniform_filter1d(np.sum(halves, axis=0), 3, mode="nearest") / 16.0
     variance = np.interp(f, g, fine.variance[:, 0, 0] + missed)
     thinned = float(np.median(np.diff(f)) / np.median(np.diff(g))) if f.size > 1 else 1.0
     moved = replace(
@@ -199,8 +198,9 @@ def _gain(one: FRF, two: FRF, pair: tuple[Resonance, Resonance] | None) -> Chang
     """Mean gain of the smaller level over the larger in dB, below the resonance where enough frequencies lie there."""
     f = one.frequency_hz
     lines = np.ones(f.size, dtype=bool)
+    tail = 4.0  # half widths about a resonance that are left out of the gain
     for r in pair or ():
-        lines &= f < r.frequency_hz - TAIL * abs(r.pole_hz.imag)
+        lines &= f < r.frequency_hz - tail * abs(r.pole_hz.imag)
     if np.count_nonzero(lines) < FEWEST:
         return None
     one, two = one.select(lines), two.select(lines)
@@ -215,7 +215,7 @@ def _gain(one: FRF, two: FRF, pair: tuple[Resonance, Resonance] | None) -> Chang
 
 def _bend(change: float, std: float, least: float, kinds: tuple[Bend, Bend]) -> Bend:
     """The kind for a rise or a fall, linear where chance or an estimator's bias explains it."""
-    if abs(change) <= least + float(-ndtri(0.5 * CHANCE)) * std:
+    if abs(change) <= least + float(-ndtri(0.5 * TOL.level_by_chance)) * std:
         return Bend.LINEAR
     return kinds[0] if change > 0.0 else kinds[1]
 

@@ -18,13 +18,6 @@ from loopshape.core.units import Array, ComplexArray, deg
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 
-#: between lines 1 + P2* P1 may turn by this much before the sampling is called too coarse to count, in deg
-COARSE_DEG = 135.0
-#: at the first line P2* P1 must lie this close to where the integrators put it, in deg
-FIT_DEG = 60.0
-#: the slope of the lowest lines must lie this close to a whole number of integrators
-SLOPE_FIT = 0.35
-
 
 @dataclass(frozen=True, eq=False)
 class NuGap:
@@ -114,7 +107,8 @@ def order_of(plant: FRF) -> int | None:
         return None
     slope = -float(np.polyfit(np.log(f[:count]), np.log(np.abs(plant.siso[:count])), 1)[0])
     order = round(slope)
-    return order if order >= 0 and abs(slope - order) < SLOPE_FIT else None
+    slope_fit = 0.35  # the slope of the lowest lines must lie this close to a whole number of integrators
+    return order if order >= 0 and abs(slope - order) < slope_fit else None
 
 
 def _kappa_and_std(first: FRF, second: FRF) -> tuple[Array, Array]:
@@ -189,7 +183,9 @@ def _uncountable(first: FRF, second: FRF) -> str:
     if abs(product[-1]) >= 1.0:
         return f"|P1 P2| is still {abs(product[-1]):.2g} at the highest frequency, {f[-1]:.3g} Hz: measure higher"
     steps = np.abs(deg(np.angle(g[1:] * g[:-1].conj())))
-    if steps.size and steps.max() > COARSE_DEG:
+    # between lines 1 + P2* P1 may turn by this much before the sampling is called too coarse to count, in deg
+    coarse_deg = 135.0
+    if steps.size and steps.max() > coarse_deg:
         k = int(np.argmax(steps))
         return f"1 + P2* P1 turns by {steps[k]:.0f} deg between {f[k]:.4g} and {f[k + 1]:.4g} Hz: measure finer there"
     variance = np.abs(P2) ** 2 * first.variance[:, 0, 0] + np.abs(P1) ** 2 * second.variance[:, 0, 0]
@@ -211,7 +207,7 @@ def winding_number(first: ComplexArray, second: ComplexArray, integrators: tuple
     total = integrators[0] + integrators[1]
     ahead = complex(product[0]) * (-1j) ** (integrators[1] - integrators[0])
     swing = float(np.angle(ahead if ahead.real >= 0.0 else -ahead))
-    if abs(deg(swing)) > FIT_DEG:
+    if abs(deg(swing)) > 60.0:  # at the first line P2* P1 must lie this close to where the integrators put it, in deg
         return None
     if total:
         start = -0.5 * np.pi * total + swing + float(np.angle(g[0] / product[0]))

@@ -21,13 +21,9 @@ from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import instrument, loop_signals
-from loopshape.identify.spectra.averages import against_instrument, error_covariance
+from loopshape.identify.spectra.averages import against_instrument, line_covariance, smoothed
 from loopshape.identify.spectra.transforms import Transforms, transform
-
-#: lines whose relative standard deviation is above this in either run say nothing
-KNOWN = 0.3
-#: injected signals are the same where they differ by less than this share of what they span
-SAME = 1e-3
+from loopshape.identify.tolerances import TOL
 
 
 @dataclass(frozen=True)
@@ -150,7 +146,8 @@ def _transforms(recording: Recording, loop: LoopSetup, settings: Settings) -> Tr
 
 def _same_instrument(one: Transforms, two: Transforms) -> bool:
     a, b = one.instrument, two.instrument
-    return a.shape == b.shape and bool(np.abs(a - b).max() <= SAME * np.abs(a).max())
+    same = 1e-3  # injected signals are the same where they differ by less than this share of what they span
+    return a.shape == b.shape and bool(np.abs(a - b).max() <= same * np.abs(a).max())
 
 
 def _residual(t: Transforms) -> ComplexArray:
@@ -164,7 +161,7 @@ def _residual(t: Transforms) -> ComplexArray:
 def _variances(t: Transforms, residual: ComplexArray, frequency_hz: Array) -> tuple[Array, Array]:
     """Variance that segments' residuals give, on some lines: as the estimator has it, and each line's own."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        covariance, _, _ = error_covariance(t, residual[None])
+        covariance = _covariance(t, residual[None])
     rows = np.searchsorted(t.frequency_hz, frequency_hz * (1.0 - 1e-9))
     smooth = np.real(covariance[rows, 0, 0])
     k = residual.shape[0]
@@ -191,7 +188,8 @@ def on_common_lines(one: FRF, two: FRF) -> tuple[FRF, FRF]:
 
 def known_lines(one: FRF, two: FRF) -> np.ndarray:
     """Frequencies (nf,) in the valid band of either FRF and known to 30 % in both."""
-    known = [np.sqrt(x.variance[:, 0, 0]) < KNOWN * np.abs(x.siso) for x in (one, two)]
+    # lines whose relative standard deviation is above this in either run say nothing
+    known = [np.sqrt(x.variance[:, 0, 0]) < 0.3 * np.abs(x.siso) for x in (one, two)]
     return np.asarray((one.valid | two.valid) & known[0] & known[1])
 
 
@@ -270,3 +268,26 @@ def in_band(frf: FRF, mask: np.ndarray, band: tuple[float, float]) -> np.ndarray
     """Lines of a mask that lie in a band, its upper end left out."""
     f = frf.frequency_hz
     return np.asarray(mask & (f >= band[0] * (1.0 - 1e-9)) & (f < band[1] * (1.0 - 1e-9)))
+
+
+def _covariance(t: Transforms, residual: ComplexArray) -> ComplexArray:
+    """Covariance (nf, m, m) of sum(E N*)/sum(N N*) for residuals E (m, k, nf).
+
+    Where every segment carries the same excitation (noise, periods) the noise is pooled over all, and with few periods
+    over neighbouring excited lines too: noise that stands on one line alone is then underrated. Where a sweep passes,
+    each segment's residual counts with its own excitation, which follows disturbances that come with the sweep.
+    """
+    nn = np.abs(t.instrument) ** 2
+    k, squared = nn.shape[0], t.independent * nn.sum(0) ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if not t.stationary:
+            averages = squared / (nn**2).sum(0)
+            scatter = smoothed(np.einsum("akf,bkf,kf->fab", residual, residual.conj(), nn), 2)
+            return line_covariance(scatter, averages, squared, t.excited, t.line_overlap)[0]
+        averages = np.full(nn.shape[1], k * t.independent)
+        noise = np.einsum("akf,bkf->fab", residual, residual.conj()) / k
+        each = 2.0 * max(k * t.independent - 1.0, 0.5)
+        width = int(np.ceil(TOL.variance_freedom / each)) if t.power_per == "line" else 1
+        noise[t.excited] = smoothed(noise[t.excited], width // 2)
+        unbiased = np.where(averages > 1.5, averages / (averages - 1.0), np.inf)
+        return np.asarray(noise * nn.sum(0)[:, None, None] * (unbiased / squared)[:, None, None])

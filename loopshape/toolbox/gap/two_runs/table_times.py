@@ -11,12 +11,6 @@ from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.gap_table import TimeRow
 from loopshape.toolbox.gap.two_runs.table_pairs import Pair
 
-#: moves closer than this belong to one window
-BREATH_S = 0.5
-#: a stretch at rest is the second half of one this long at least
-REST_S = 1.0
-#: inputs are the same where they differ by less than this share of what they span
-SAME = 1e-3
 #: blocks of a settled stretch whose means tell how sure its mean is
 BLOCKS = 8
 
@@ -65,9 +59,10 @@ def _inputs(real: Run, pair: Pair, n: int) -> tuple[str, Array]:
     if not names:
         return "it holds no external excitation", np.zeros((0, n))
     inputs = np.stack([pair.real.column(x)[:n] for x in names])
+    same = 1e-3  # inputs are the same where they differ by less than this share of what they span
     for name, values in zip(names, inputs, strict=True):
         apart = float(np.abs(pair.sim.column(name)[:n] - values).max(initial=0.0))
-        if apart > SAME * max(float(np.ptp(values)), 1e-3 * float(np.abs(values).max()), 1e-9):
+        if apart > same * max(float(np.ptp(values)), 1e-3 * float(np.abs(values).max()), 1e-9):
             return f"{name} differs between the runs by up to {apart:.3g}", inputs
     return "", inputs
 
@@ -75,7 +70,7 @@ def _inputs(real: Run, pair: Pair, n: int) -> tuple[str, Array]:
 def _windows(inputs: Array, rate_hz: float) -> list[tuple[int, int]]:
     """First and last (excluded) sample of the stretches from one move to the next."""
     moves = np.flatnonzero(np.any(np.diff(inputs, axis=1) != 0.0, axis=0)) + 1
-    starts = moves[np.diff(moves, prepend=-np.inf) > BREATH_S * rate_hz]
+    starts = moves[np.diff(moves, prepend=-np.inf) > 0.5 * rate_hz]  # moves closer than this belong to one window
     edges = np.unique(np.concatenate([[0], starts, [inputs.shape[1]]])).astype(int)
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
@@ -85,7 +80,8 @@ def _rest(inputs: Array, window: tuple[int, int], rate_hz: float) -> tuple[int, 
     start, end = window
     moving = np.flatnonzero(np.any(np.diff(inputs[:, start:end], axis=1) != 0.0, axis=0))
     still = start + (int(moving[-1]) + 1 if moving.size else 0)
-    return ((still + end) // 2, end) if end - still >= REST_S * rate_hz else None
+    rest_s = 1.0  # a stretch at rest is the second half of one this long at least
+    return ((still + end) // 2, end) if end - still >= rest_s * rate_hz else None
 
 
 def _floor(one: Array, two: Array, rests: list[tuple[int, int]]) -> float:

@@ -64,10 +64,7 @@ def plan(
     """
     from loopshape.io.run.run_folder import read_run
     from loopshape.io.write.controllers import read_controllers
-    from loopshape.toolbox.planning.plan_pictures import plan_page
     from loopshape.toolbox.planning.verbs import plan as planned
-    from loopshape.toolbox.planning.verbs import write_plan
-    from loopshape.verbs.pictures import save
 
     output = Output(as_json, quiet)
     held = read_run(run)
@@ -77,26 +74,27 @@ def plan(
         return
     with output.progress("plan", 1) as step:
         found = planned(
-            held,
-            recording,
-            std=_std(std_db, std_percent, std_deg, resolution_hz is not None or seconds is not None),
-            controllers=own,
-            at_hz=at,
-            max_amplitude=max_amplitude,
-            max_input=max_input,
-            max_output=max_output,
-            longest_s=longest_s,
-            f_low_hz=from_hz,
-            f_high_hz=to_hz,
-            kind=lines,
-            resolution_hz=resolution_hz,
+            held, recording, std=_std(std_db, std_percent, std_deg, resolution_hz is not None or seconds is not None),
+            controllers=own, at_hz=at, max_amplitude=max_amplitude, max_input=max_input, max_output=max_output,
+            longest_s=longest_s, f_low_hz=from_hz, f_high_hz=to_hz, kind=lines, resolution_hz=resolution_hz,
             seconds=seconds,
-        )
+        )  # fmt: skip
         step(found.recording)
     if found.satisfied:
         output.say(found.sentence)
         output.json(found.to_dict() | {"run": str(run), "study": None, "complete": False, "figure": None})
         return
+    _written(held, found, run, out, output)
+    if not found.reached:
+        raise typer.Exit(1)
+
+
+def _written(held: Run, found: Plan, run: Path, out: Path | None, output: Output) -> None:
+    """Write a plan's study and figure, and report both."""
+    from loopshape.toolbox.planning.plan_pictures import plan_page
+    from loopshape.toolbox.planning.verbs import write_plan
+    from loopshape.verbs.pictures import save
+
     study, written, why = write_plan(held, found, out or run / f"plan_{found.loop}.toml")
     figure = save(plan_page(found), figures_of(run) / f"plan_{found.loop}.png")
     _show(found, output)
@@ -105,8 +103,6 @@ def plan(
     output.say(f"figure written to {figure}")
     output.say(found.sentence)
     output.json(found.to_dict() | {"run": str(run), "study": str(study), "complete": written, "figure": str(figure)})
-    if not found.reached:
-        raise typer.Exit(1)
 
 
 def long_enough(

@@ -16,9 +16,6 @@ from loopshape.core.units import TWO_PI, Array, ComplexArray
 
 #: blocks of a fit, each overlapping half of the next, and the correlation of white noise between neighbours
 BLOCKS = 64
-OVERLAP = 1.0 / 6.0
-#: growth over the whole span from which a fit starts, in neper
-STARTS = (-6.0, -2.0, 0.0, 2.0, 6.0)
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,8 @@ def _exponential(z: ComplexArray, t: Array) -> tuple[complex, float, float, Arra
     from scipy.optimize import least_squares
 
     length = float(t[-1] - t[0])
-    factor = cholesky_banded(np.vstack([np.ones(z.size), np.full(z.size, OVERLAP)]), lower=True)
+    overlap = 1.0 / 6.0
+    factor = cholesky_banded(np.vstack([np.ones(z.size), np.full(z.size, overlap)]), lower=True)
 
     def white(columns: ComplexArray) -> ComplexArray:
         return np.asarray(solve_banded((1, 0), factor, columns))
@@ -117,7 +115,8 @@ def _exponential(z: ComplexArray, t: Array) -> tuple[complex, float, float, Arra
         return _flat(parts(x)[2])
 
     target = white(z)
-    starts = [np.array([g, _peak(z * np.exp(-g * t / length), length)]) for g in STARTS]
+    # growth over the whole span from which a fit starts, in neper
+    starts = [np.array([g, _peak(z * np.exp(-g * t / length), length)]) for g in (-6.0, -2.0, 0.0, 2.0, 6.0)]
     initial = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
     x = least_squares(left, initial, method="lm", xtol=1e-10, ftol=1e-10, x_scale=(1.0, 0.3)).x
     c, shape, missed = parts(x)

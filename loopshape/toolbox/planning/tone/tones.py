@@ -24,23 +24,17 @@ from scipy.ndimage import maximum_filter1d
 from scipy.special import gammainc, stdtrit
 
 from loopshape.core.errors import BadSignalError
-from loopshape.core.noise import rms_interval
 from loopshape.core.stretches import Signal
 from loopshape.core.units import Array
+from loopshape.loop.margin.disturbed import rms_interval
 from loopshape.toolbox.planning.tone.nouns import LEAST_GROWTH_DB, Growth, Interval, Tone, Tones
 from loopshape.toolbox.planning.tone.tone_fit import ToneFit, fit_tone
 
 #: lines on each side that tell the noise, and lines next to a tone that tell nothing
 SIDE, GAP = 16, 2
-#: independent lines among neighbours of a Hann window, a line
-INDEPENDENT = 1.0 / (1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0))
 #: parts of the record that are looked at, samples of the shortest, and samples at once
 PARTS, SHORTEST, LONGEST = (1, 2, 4, 8, 16), 512, 1 << 20
 CHANCE, MOST = 0.01, 20
-#: power of a sweep's line, relative to its strongest of the same part, from which on it may have caused a tone there
-SWEPT = 1e-4
-#: chance below which the excitation is taken to have a line of its own
-KNOWN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -206,6 +200,7 @@ def _candidates(
 
     `rounding` is the power of a line below which there are only the digits of numbers.
     """
+    known = 1e-3  # chance below which the excitation is taken to have a line of its own
     for part in PARTS:
         if not _lines_used(values.size, part):
             return
@@ -216,10 +211,12 @@ def _candidates(
             lines = _lines(power, chance / tests, free)
             lines = [(line, max(p, _chance_elsewhere(powers, k, line))) for line, p in lines]
             moved = [periodogram(np.asarray(one[cut])) for one in excitation.signals] if lines else []
-            own = [dict(_lines(one, KNOWN, 1.0)) for one in moved]
+            own = [dict(_lines(one, known, 1.0)) for one in moved]
             for line, p in lines:
                 shown = any(near in found for found in own for near in range(line - GAP, line + GAP + 1))
-                shown |= excitation.swept and any(one[line] > SWEPT * one.max() for one in moved)
+                # power of a sweep's line, relative to its strongest of the same part, from which on it may have caused
+                # a tone there
+                shown |= excitation.swept and any(one[line] > 1e-4 * one.max() for one in moved)
                 if p * tests < chance and not shown:
                     width = rate_hz / each
                     yield _Candidate(cut.start, cut.stop, line * width, width, float(min(1.0, p * tests)))
@@ -313,7 +310,9 @@ def _chance_of(ratio: float, count: int) -> float:
 @lru_cache(maxsize=4 * SIDE)
 def _larger_of_two(count: int) -> tuple[Array, Array]:
     """Levels of the larger of two means of `count` lines of noise of mean 1, and the share of each."""
-    m = count * INDEPENDENT
+    # independent lines among neighbours of a Hann window, a line
+    independent = 1.0 / (1.0 + 2.0 * (4.0 / 9.0 + 1.0 / 36.0))
+    m = count * independent
     edges = np.linspace(0.0, 1.0, 400) ** 3 * (1.0 + 12.0 / np.sqrt(m))
     return 0.5 * (edges[1:] + edges[:-1]), np.diff(gammainc(m, m * edges) ** 2)
 

@@ -18,8 +18,8 @@ from loopshape.data.result.verdict import SettledBy, Verdict
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
-from loopshape.loop.predict.prediction import NOTICED_DB
 from loopshape.loop.predict.remeasured import remeasure
+from loopshape.loop.tolerances import TOL
 from loopshape.toolbox.rig.adopt.course import TrialSettings
 from loopshape.toolbox.rig.adopt.forecast import Forecast, forecast, foresee
 
@@ -107,7 +107,7 @@ _EXCITE = "record a multisine at the controller's input under the new controller
 
 def _longer(c: Comparison, settings: TrialSettings) -> str:
     """How much more a comparison needs: its errors fall with the square root of the length."""
-    wanted = max(NOTICED_DB, 2.0 * settings.tolerance_db)
+    wanted = max(TOL.noticed_db, 2.0 * settings.tolerance_db)
     if not np.isfinite(c.noticed_db):
         return f"{c.measured_from}: excite the frequencies of the run under the old controller, with more amplitude"
     times = (c.noticed_db / wanted) ** 2

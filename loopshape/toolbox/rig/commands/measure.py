@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -64,8 +63,8 @@ def measure(
     output = Output(as_json, quiet)
     try:
         made = record(
-            study, out, output, controllers=controllers, port=port, arm=arm, show=show, again=again, verdict=verdict,
-            allow_unverified=allow_unverified, escalate=escalate, until=until,
+            study, out, output, controllers=controllers, arm=arm, show=show, port=port, again=again, verdict=verdict,
+            allow_unverified=allow_unverified, escalate=False if escalate is None else escalate, until=until_in(until),
         )  # fmt: skip
     except StoppedAtLimitError as stopped:
         complain(stopped)
@@ -108,28 +107,19 @@ def record(
     out: Path,
     output: Output,
     *,
-    states: bool = False,
-    effects: Sequence[str] = (),
     controllers: Path | None = None,
-    port: str | None = None,
     arm: bool = False,
     show: bool = False,
-    again: bool = False,
-    verdict: Path | None = None,
-    allow_unverified: bool = False,
-    escalate: float | None = None,
-    until: str | None = None,
+    **options: Any,
 ) -> Run:
-    """`verbs.machine.measure` with a terminal: what a target would do is shown first."""
+    """`verbs.machine.measure` with a terminal: what a target would do is shown first; `options` as there."""
     from loopshape.io.write.controllers import read_loop_controllers
     from loopshape.toolbox.rig.verbs.machine import measure as measure_study
 
     found = () if controllers is None else read_loop_controllers(controllers)
     return measure_study(
-        study, out, controllers=found, effects=effects, port=port, again=again, states=states,
-        verdict=verdict, allow_unverified=allow_unverified,
-        escalate=False if escalate is None else escalate, until=until_in(until),
-        confirm=lambda motion: confirmed(motion, arm, show, output), watch=output,
+        study, out, controllers=found, confirm=lambda motion: confirmed(motion, arm, show, output), watch=output,
+        **options,
     )  # fmt: skip
 
 

@@ -29,6 +29,7 @@ from loopshape.toolbox.rig.steps.escalation import (
     STILL_STEPS,
     STILL_TICKS,
     STILL_TIMES,
+    Climb,
     Escalation,
     Seen,
     Step,
@@ -40,14 +41,6 @@ from loopshape.toolbox.rig.steps.escalation import (
 from loopshape.toolbox.rig.steps.supervisor import Expected, Supervisor, cut
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.verbs.watch import Watch
-
-#: ramps of an excitation that has none, as a share of a period
-RAMP_SHARE = 0.1
-#: share of a limit's room from which on a machine that goes farther than the step before predicted is stopped
-UNEXPECTED_FROM = 0.5
-#: how long a simulated machine is watched after its excitation stopped, in s
-AFTER_S = 0.5
-_APART = 50_021  # between the seeds of steps
 
 
 class StoppedAtLimitError(RigError):
@@ -65,7 +58,7 @@ class Course:
         self, study: Study, plant: Rig, folder: Path, watch: Watch,
         escalation: Escalation | None = None, until: Until | None = None,
     ) -> None:  # fmt: skip
-        self._study, self._plant, self._folder, self._watch = study, plant, folder, watch
+        self._study, self.plant, self.folder, self.watch = study, plant, folder, watch
         self._escalation, self._until = escalation, until
         self.limits: Mapping[str, Limit] = study.target.limits if study.target else study.limits
         if escalation is not None and not self.limits:
@@ -94,7 +87,7 @@ class Course:
         planned = next((one for one in todo if one.template.excites is not None), None)
         if planned is None or self.plain:
             return
-        e = experiment(self._study, self._plant, planned)
+        e = experiment(self._study, self.plant, planned)
         k = [one.name for one in e.loops].index(str(e.excites))
         loop, n = e.loops[k], e.injected[:, k] + e.references[:, k] - e.references[0, k]
         y = 0.1 * np.convolve(n, 0.9 ** np.arange(1, 100))[: n.size]
@@ -113,7 +106,7 @@ class Course:
         for planned in todo:
             self._past, self._step = (), False
             if planned.template.excitation is None or self._escalation is None:
-                yield experiment(self._study, self._plant, planned)
+                yield experiment(self._study, self.plant, planned)
                 continue
             percent = yield from self._climbed(planned, self._escalation)
             self._step = False
@@ -131,15 +124,14 @@ class Course:
         self._report(planned, step)
         percent, best, number = settings.start_percent, 0.0, first
         loop = next(one for one in planned.loops if one.name == planned.template.excites)
+        climb = Climb(loop, settings, self.limits, commands, self._until)
         while step.stop is None:
             number += 1
             e = self._made(planned, percent, number)
             yield e
             trip = self._supervisor.trip if self._supervisor else None
             share = self._share(planned, e)
-            step, seen = tested(
-                self._last, loop, settings, self.limits, commands, percent, self._past, share, self._until, trip
-            )
+            step, seen = tested(self._last, climb, percent, self._past, share, trip)
             self._report(planned, step)
             if step.valid and trip is None:
                 self._past, best = (*self._past, seen), percent
@@ -156,16 +148,16 @@ class Course:
         return frozenset(target.commands if target else (one.control for one in planned.loops)) & self.limits.keys()
 
     def _report(self, planned: Planned, step: Step) -> None:
-        note(self._folder, "step", of=planned.name, **step.to_dict())
-        (self._watch.say if step.valid else lambda line: self._watch.warn([line]))(step.sentence)
+        note(self.folder, "step", of=planned.name, **step.to_dict())
+        (self.watch.say if step.valid else lambda line: self.watch.warn([line]))(step.sentence)
 
     def _looked(self, found: Look) -> None:
-        note(self._folder, "look", **found.to_dict())
-        self._watch.say(found.sentence)
+        note(self.folder, "look", **found.to_dict())
+        self.watch.say(found.sentence)
 
     def _free(self, name: str) -> int:
         """The number of the first step: those of a climb that was interrupted are kept."""
-        steps = [one.removeprefix(f"{name}-a") for one in finished(self._folder) if one.startswith(f"{name}-a")]
+        steps = [one.removeprefix(f"{name}-a") for one in finished(self.folder) if one.startswith(f"{name}-a")]
         return 1 + max((int(one) for one in steps if one.isdigit()), default=-1)
 
     def _resting(self, planned: Planned, number: int) -> Experiment:
@@ -176,7 +168,7 @@ class Course:
             t, excitation=None, excites=None, excites_also={}, kind="none", role="validation", lead_s=0.0, tail_s=0.0,
             duration_s=max(1.0, float(signal.period_s or 1.0)),
         )  # fmt: skip
-        return experiment(self._study, self._plant, replace(planned, template=rest, name=f"{planned.name}-a{number}"))
+        return experiment(self._study, self.plant, replace(planned, template=rest, name=f"{planned.name}-a{number}"))
 
     def _made(self, planned: Planned, percent: float, number: int | None = None) -> Experiment:
         """The experiment at so many percent of its amplitude; a step where it has a number."""
@@ -187,7 +179,7 @@ class Course:
         def sized(signal: Any) -> Any:
             words = {"amplitude": signal.amplitude * percent / 100.0}
             if signal.period_s and signal.ramp_s <= 0.0:
-                words["ramp_s"] = RAMP_SHARE * signal.period_s
+                words["ramp_s"] = 0.1 * signal.period_s  # ramps of an excitation that has none, as a share of a period
             if number is not None and signal.period_s:
                 words["periods"] = min(settings.periods, signal.periods)
             return replace(signal, **words)
@@ -196,12 +188,13 @@ class Course:
             t, excitation=sized(t.excitation), excites_also={k: sized(x) for k, x in t.excites_also.items()}
         )
         if number is None:
-            return self._moved(experiment(self._study, self._plant, replace(planned, template=changed)), planned)
+            return self._moved(experiment(self._study, self.plant, replace(planned, template=changed)), planned)
+        apart = 50_021  # between the seeds of steps
         one = replace(
             planned, template=replace(changed, role="validation"), name=f"{planned.name}-a{number}",
-            seed=planned.seed + _APART * number,
+            seed=planned.seed + apart * number,
         )  # fmt: skip
-        return self._moved(experiment(self._study, self._plant, one), planned)
+        return self._moved(experiment(self._study, self.plant, one), planned)
 
     def _moved(self, e: Experiment, planned: Planned) -> Experiment:
         """With the base motion, a sine of the setpoint once a period; refuses one that the excitation holds."""
@@ -279,14 +272,16 @@ class Course:
         room = min(limit.high - middle, middle - limit.low)
         off = 0.005 * settings.reserve_percent * room + (1.0 + ratio) * noise
         least = max(least, STILL_SHARE * float(np.nanmax(motion) - np.nanmin(motion)))
-        return Expected(motion, middle, least, UNEXPECTED_FROM * room, off)
+        # share of a limit's room from which on a machine that goes farther than the step before predicted is stopped
+        unexpected_from = 0.5
+        return Expected(motion, middle, least, unexpected_from * room, off)
 
     def taken(self, recording: Recording) -> None:
         """A recording was made, whole or in part."""
         self._last = recording
         found = self._supervisor
         if found is not None and found.trip is Trip.ENOUGH and found.last is not None:
-            note(self._folder, "enough", **found.last.to_dict())
+            note(self.folder, "enough", **found.last.to_dict())
 
     def simulated(self, e: Experiment, states: bool = False) -> Recording:
         """The experiment on the study's plant, under supervision: what comes after a trip is simulated as it would be.
@@ -312,7 +307,8 @@ class Course:
         injected, references = np.array(e.injected), np.array(e.references)
         injected[place + 1 :], references[place + 1 :] = 0.0, e.references[0]
         after = self._simulated(replace(e, injected=injected, references=references), states)
-        n = min(place + 1 + round(AFTER_S * e.rate_hz), len(after.columns["t_s"]))
+        after_s = 0.5  # how long a simulated machine is watched after its excitation stopped, in s
+        n = min(place + 1 + round(after_s * e.rate_hz), len(after.columns["t_s"]))
         beyond = Supervisor(e, {}, found.limits)
         passed = beyond.first_trip({name: x[:n] for name, x in after.columns.items()})
         if passed is not None:
@@ -321,7 +317,7 @@ class Course:
         return cut(after, n, found.why)
 
     def _simulated(self, e: Experiment, states: bool) -> Recording:
-        study, plant = self._study, self._plant
+        study, plant = self._study, self.plant
         changes = dict(study.changes) | moves(plant, study.effects)
         return next(iter(plant.simulate([e], solver=study.solver, changes=changes, threads=1, states=states)))
 

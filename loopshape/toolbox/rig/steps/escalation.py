@@ -22,23 +22,13 @@ from loopshape.toolbox.rig.steps.enough import Band, Until, accuracy, would_do
 NOISE_PEAK = 4.0
 #: share of a command's room that noise at rest may take
 NOISE_SHARE = 0.5
-#: the least factor that is worth a step
-LEAST_GROWTH = 1.05
 #: a linear machine's excursions come again to this: two steps of a few periods differ by their transients
 REPEATS = 0.05
-#: largest exponent by which an excursion is taken to grow with the amplitude
-MOST_EXPONENT = 2.0
-#: a gain that falls with the amplitude by more deviations, and by a larger share, is an actuator that saturates
-FALLS_SIGMA, FALLS_SHARE = 4.0, 0.05
-#: frequencies whose gain is known better than this can show that
-KNOWN = 0.1
 #: samples at one end, or at one rate, as a share and as a number, from which a command counts as clipped
 FLAT_SHARE, FLAT_COUNT = 0.005, 10
 #: a sensor that stands still for so many times as long as it ever did is stuck; never in fewer ticks, and no sensor
 #: that stood still for longer than the last
 STILL_TIMES, STILL_TICKS, STILL_MOST = 3, 10, 20
-#: and one that moved in no excited step of so many
-STILL_AT_MOST = 4
 #: one that should have moved by so many of its steps, and by this share of its travel, since it moved last, is stuck
 STILL_STEPS, STILL_SHARE = 3.0, 0.1
 
@@ -230,16 +220,29 @@ def least_change(x: Array) -> float:
     return float(steps[steps > 0.0].min(initial=np.inf))
 
 
+@dataclass(frozen=True, eq=False)
+class Climb:
+    """What all steps of one recording keep to: its loop, how the amplitude rises, limits by column, and what is enough.
+
+    `commands` are the columns that an actuator makes.
+    """
+
+    loop: LoopSetup
+    settings: Escalation
+    limits: Mapping[str, Limit]
+    commands: frozenset[str]
+    until: Until | None
+
+
 def tested(
-    recording: Recording, loop: LoopSetup, settings: Escalation, limits: Mapping[str, Limit], commands: frozenset[str],
-    percent: float, past: tuple[Seen, ...], share: float, until: Until | None, trip: Trip | None,
-) -> tuple[Step, Seen]:  # fmt: skip
+    recording: Recording, climb: Climb, percent: float, past: tuple[Seen, ...], share: float, trip: Trip | None
+) -> tuple[Step, Seen]:
     """A step and what follows from it.
 
-    `past` begins with the step at rest, `share` is this one's measured length over the recording's own, `commands` are
-    the columns that an actuator makes. Refuses nothing: of what cannot be estimated nothing is known, and the next step
-    follows.
+    `past` begins with the step at rest, `share` is this one's measured length over the recording's own. Refuses
+    nothing: of what cannot be estimated nothing is known, and the next step follows.
     """
+    loop, settings, limits, until = climb.loop, climb.settings, climb.limits, climb.until
     name, from_s = recording.info.name, recording.info.periodic_from_s or 0.0
     try:
         bands, plant = accuracy(recording, loop)
@@ -250,7 +253,7 @@ def tested(
     danger = _danger(recording, now, settings, trip)
     if danger is None and (_never_moved(now, past, loop) or _stopped_moving(recording, loop, past[0])):
         danger = Stop.STUCK
-    spoilt = _spoilt(recording, now, past, commands)
+    spoilt = _spoilt(recording, now, past, climb.commands)
     factor = _factor(now, past, settings, limits)
     stop: Stop | None = danger or spoilt
     if stop is None and trip is Trip.GUARD:
@@ -259,7 +262,7 @@ def tested(
         stop = Stop.ACCURATE
     if stop is None and percent >= 100.0 * (1.0 - 1e-9):
         stop = Stop.FULL
-    if stop is None and factor < LEAST_GROWTH:
+    if stop is None and factor < 1.05:  # the least factor that is worth a step
         stop = Stop.LIMIT_NEAR
     after = None if stop else min(percent * factor, 100.0)
     rooms = _rooms(now, past, limits, (after or percent) / percent)
@@ -290,9 +293,10 @@ def _danger(recording: Recording, now: Seen, settings: Escalation, trip: Trip | 
 def _never_moved(now: Seen, past: tuple[Seen, ...], loop: LoopSetup) -> bool:
     """Whether a sensor of the loop stood still over this step, which moved before, or over too many steps."""
     steps = [one for one in past if one.percent]
+    still_at_most = 4  # and one that moved in no excited step of so many
     for column in sum_terms(loop.output):
         moved = [one.grain.get(column, 0.0) < np.inf for one in (*steps, now)]
-        if not moved[-1] and (any(moved) or len(moved) >= STILL_AT_MOST):
+        if not moved[-1] and (any(moved) or len(moved) >= still_at_most):
             return True
     return False
 
@@ -342,17 +346,20 @@ def _spoilt(recording: Recording, now: Seen, past: tuple[Seen, ...], commands: f
 def gain_falls(before: FRF, now: FRF) -> bool:
     """Whether the plant's gain is lower than at a smaller amplitude in some octave, beyond errors and by 5 %."""
     f, i, j = np.intersect1d(before.frequency_hz, now.frequency_hz, return_indices=True)
-    known = np.maximum(before.modulus_std[i, 0, 0], now.modulus_std[j, 0, 0]) < KNOWN  # noise has no gain
+    # frequencies whose gain is known better than this can show that
+    known = np.maximum(before.modulus_std[i, 0, 0], now.modulus_std[j, 0, 0]) < 0.1  # noise has no gain
     f, i, j = f[known], i[known], j[known]
     if not f.size:
         return False
     change = np.log(np.abs(now.siso[j]) / np.abs(before.siso[i]))
     variance = before.modulus_std[i, 0, 0] ** 2 + now.modulus_std[j, 0, 0] ** 2
     octaves = np.floor(np.log2(f / f[0]) + 1e-9)
+    # a gain that falls with the amplitude by more deviations, and by a larger share, is an actuator that saturates
+    falls_sigma, falls_share = 4.0, 0.05
     for k in np.unique(octaves):
         weights = (octaves == k) / np.maximum(variance, 1e-12)
         fall, sigma = -float(weights @ change / weights.sum()), float(1.0 / np.sqrt(weights.sum()))
-        if fall > FALLS_SHARE and fall > FALLS_SIGMA * sigma:
+        if fall > falls_share and fall > falls_sigma * sigma:
             return True
     return False
 
@@ -401,4 +408,4 @@ def exponent(now: Seen, past: tuple[Seen, ...], column: str) -> float:
     if not was > noise:  # it cannot be told from noise
         return 1.0
     grew = 0.5 * np.log(now_is / was) / np.log(now.percent / before.percent) if now_is > 0.0 else 1.0
-    return float(np.clip(grew, 1.0, MOST_EXPONENT))
+    return float(np.clip(grew, 1.0, 2.0))  # largest exponent by which an excursion is taken to grow with the amplitude

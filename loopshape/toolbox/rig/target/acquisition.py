@@ -9,9 +9,9 @@ from contextlib import suppress
 import numpy as np
 
 from loopshape.core.errors import RigError
-from loopshape.core.kernels.noise import start_state
 from loopshape.core.units import Array
 from loopshape.data.signal.experiment import Experiment
+from loopshape.toolbox.gap.noise import start_state
 from loopshape.toolbox.rig.steps.supervisor import Supervisor
 from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.armed import Armed, beat_s, reason_words, vented
@@ -22,7 +22,6 @@ from loopshape.toolbox.rig.target.session import RefusedError
 INJECTION = {"controller_input": 0, "plant_input": 1, "control": 2, "reference": 0}
 NOT_NOW, GONE, UNKNOWN = 1, 3, 7  # refusals: not in this state, no longer in memory, no such run
 LISTEN_S = 0.02
-HAND_ON_S = 0.1  # so often what came is handed on
 PATIENCE_S = 0.1  # so long does what was asked again take to come
 STILL_S = 6.0  # longer than a target repeats the end of a run
 RATE_TICKS = 10  # a rate is averaged over so many ticks: a converter's step is no alarm
@@ -89,6 +88,7 @@ class Acquisition:
         self._upload(free)
         self._go()
         try:
+            hand_on_s = 0.1  # so often what came is handed on
             while not self._is_whole():
                 self._session.listen(LISTEN_S if self._samples.lacking == 0 else LISTEN_S / 4)
                 if self._alarm is not None and self._ended is None:
@@ -97,7 +97,7 @@ class Acquisition:
                 self._fill()
                 self._keep_alive()
                 self._refuse_standstill()
-                if time.monotonic() - self._handed_s > HAND_ON_S:
+                if time.monotonic() - self._handed_s > hand_on_s:
                     self._hand_on()
         finally:
             self._hand_on()

@@ -30,7 +30,6 @@ from loopshape.toolbox.rig.target.messages import (
 
 ANSWER_S = 0.25
 TRIES = 5
-SHORTEST_S = 0.02
 #: requests that may be done twice: each try has a tag of its own, as a repeated frame feeds no watchdog
 _TWICE = (Request.ALIVE, Request.ROWS, Request.AGAIN)
 NO_PLACE = 9  # refusal: another host is connected
@@ -111,7 +110,8 @@ class Session:
 
     def watched(self, watchdog_ms: int) -> None:
         """From here on a lost request is sent again in time for the target's watchdog."""
-        self.again_s = min(ANSWER_S, max(SHORTEST_S, watchdog_ms / 3e3))
+        shortest_s = 0.02
+        self.again_s = min(ANSWER_S, max(shortest_s, watchdog_ms / 3e3))
 
     @contextmanager
     def kept_alive(self, beat_s: float) -> Iterator[None]:

@@ -31,8 +31,6 @@ from loopshape.toolbox.rig.target.blocks import Block, blocks
 from loopshape.toolbox.rig.target.messages import Configuration, Ended, Identity, Reason, Request, Response, State
 from loopshape.toolbox.rig.target.scheduling import Scheduling
 
-ENDED_S = 0.3  # in which a target says why it stopped: it repeats that every 0.2 s
-
 
 def configuration(
     identity: Identity,
@@ -223,11 +221,12 @@ def _extremes(armed: Armed, e: Experiment, place: bool) -> None:
         return
     endings: list[Ended] = []
     armed.session.unasked = lambda f: endings.append(armed.session.ended(f)) if f.type == Response.ENDED else None
+    ended_s = 0.3  # in which a target says why it stopped: it repeats that every 0.2 s
     for _ in range(int((ramp_s + armed.settings.settle_s) / beat_s(armed)) + 1):
         until = armed.session.last_sent_s + beat_s(armed)
         status = armed.session.status()
         if status.state is not State.ARMED:
-            armed.session.listen_until(armed.session.last_sent_s + ENDED_S)
+            armed.session.listen_until(armed.session.last_sent_s + ended_s)
             which = [f", {_why(armed, ended)}" for ended in endings[-1:]] or [reason_words(status.fault)]
             raise RigError(
                 f"the target stopped on its way to {e.name!r}",

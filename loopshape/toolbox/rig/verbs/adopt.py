@@ -36,7 +36,7 @@ from loopshape.toolbox.rig.target.target import arm as arm_target
 from loopshape.toolbox.rig.target.target import vented_on_error
 from loopshape.toolbox.rig.target.trial import Trial as OnBoard
 from loopshape.toolbox.rig.verbs.machine import asked_study
-from loopshape.toolbox.rig.verbs.on_target import loud, planned_motion
+from loopshape.toolbox.rig.verbs.on_target import Clearance, loud, planned_motion
 from loopshape.verbs.watch import Confirm, Unwatched, Watch
 
 
@@ -243,7 +243,7 @@ def _configured(
             "the target runs no second controller beside a loop's own", f"{session.identity.board}",
             "build it anew from this version's sources",
         )  # fmt: skip
-    motion, wanted = planned_motion(session, port, study, plant, [planned], None, False)
+    motion, wanted = planned_motion(session, port, study, plant, [planned], Clearance())
     changed = [replace(x, controller=trial.new) if x.name == trial.loop.name else x for x in planned.loops]
     notes = [f"the new controller: {line}" for line in loud(session, changed, wanted, False)]
     rate_hz = session.identity.rate_hz

@@ -30,7 +30,7 @@ from loopshape.toolbox.rig.study import Study, merged_effects
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Identity
 from loopshape.toolbox.rig.target.session import Session
-from loopshape.toolbox.rig.verbs.on_target import motion_of, record_on_target
+from loopshape.toolbox.rig.verbs.on_target import Clearance, motion_of, record_on_target
 from loopshape.toolbox.rig.verbs.stop import BAUD, stop
 from loopshape.verbs.watch import Confirm, Motion, Unwatched, Watch
 
@@ -93,15 +93,19 @@ def measure(
         extra["files_sha256"] = dict(files)
     if wanted.rig == "target":
         may = confirm or (lambda motion: arm)
-        record_on_target(
-            wanted, plant, folder, watcher, port=port, confirm=may, again=again, extra=extra,
-            verdict=None if verdict is None else Path(verdict), allow_unverified=allow_unverified, course=course,
-        )  # fmt: skip
+        cleared = Clearance(None if verdict is None else Path(verdict), allow_unverified)
+        record_on_target(wanted, course, extra, cleared, port=port, confirm=may, again=again)
         return read_run(folder)
-    todo = plan(wanted, plant)
+    return _simulate(wanted, course, extra, again=again, states=states)
+
+
+def _simulate(study: Study, course: Course, extra: dict[str, object], *, again: bool, states: bool) -> Run:
+    """Record what is missing of a study on the simulated rig, and give the run."""
+    plant, folder = course.plant, course.folder
+    todo = plan(study, plant)
     done = frozenset((whole if again else finished)(folder))
-    start_run(folder, header(wanted, plant, extra))
-    with alone(folder), interrupts(), watcher.progress("measure", len(todo) - len(done)) as step:
+    start_run(folder, header(study, plant, extra))
+    with alone(folder), interrupts(), course.watch.progress("measure", len(todo) - len(done)) as step:
         try:
             if not course.plain:
                 for e in course.coming([planned for planned in todo if planned.name not in done]):
@@ -109,7 +113,7 @@ def measure(
                     course.taken(made)
                     step(made.info.name)
                 return read_run(folder)
-            for recording in recordings(wanted, plant, done=done, states=states):
+            for recording in recordings(study, plant, done=done, states=states):
                 add_recording(folder, recording, again=again)
                 step(recording.info.name)
         except KeyboardInterrupt:
@@ -159,8 +163,8 @@ class Target:
     ) -> Motion:
         """What it would do in a study (a TOML file): limits, and each recording with its signals; nothing moves."""
         wanted, plant = asked_study(Path(study), controllers, ())
-        kept = None if verdict is None else Path(verdict)
-        return motion_of(_with_diagram(wanted, diagram), plant, self.port, kept, allow_unverified)
+        cleared = Clearance(None if verdict is None else Path(verdict), allow_unverified)
+        return motion_of(_with_diagram(wanted, diagram), plant, self.port, cleared)
 
     def measure(self, study: str | Path, out: str | Path, *, arm: bool = False, **options: Any) -> Run:
         """`ls.rig.measure` on this target; it moves only with `arm`, or where `confirm` answers True."""

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, closing
 from importlib import import_module
 from pathlib import Path
 from time import sleep
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,17 +39,22 @@ from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
 from loopshape.verbs.watch import Confirm, Motion, Watch
 
-READINGS = 50  # of the sensors, before anything is armed
 NOISE_TICKS = 100  # of a pulse response: longer ones are drift, not noise
-CIRCLE = 1.0 + 1e-6  # |z|: integrators, several at a place, lie on the unit circle within rounding
+
+
+class Clearance(NamedTuple):
+    """What lets controllers drive a machine: a kept verdict that passes them, or that unverified ones are allowed."""
+
+    verdict: Path | None = None
+    allow_unverified: bool = False
 
 
 def record_on_target(
-    study: Study, plant: Rig, out: Path, watch: Watch, *, port: str | None, confirm: Confirm, again: bool,
-    extra: dict[str, object], course: Course, verdict: Path | None = None, allow_unverified: bool = False,
+    study: Study, course: Course, extra: dict[str, object], clearance: Clearance, *, port: str | None, confirm: Confirm,
+    again: bool,
 ) -> None:  # fmt: skip
     """Record what is missing of a study from a target. Moves nothing that was not confirmed."""
-    settings = study.target
+    settings, plant, out, watch = study.target, course.plant, course.folder, course.watch
     if settings is None or not (name := port or settings.port):
         raise WrongUseError("the study names no port", "neither port in [target] nor --port", "give one")
     _refuse_what_only_models_do(study)
@@ -65,13 +71,14 @@ def record_on_target(
         return
     with open_link(name, settings.baud) as link:
         session = Session(link)
-        motion, wanted = planned_motion(session, name, study, plant, todo, verdict, allow_unverified)
+        motion, wanted = planned_motion(session, name, study, plant, todo, clearance)
         if not confirm(motion):
             raise WrongUseError("no motion", "no word to arm", "look at what it will do, then give arm=True")
         start_run(out, head)
         with alone(out), marked(out, name), unhurried(), interrupts():
             keep_arrived(out)  # of a measurement that was killed
-            note(out, "armed", target=session.identity.board, notes=motion.notes, allow_unverified=allow_unverified)
+            allowed = clearance.allow_unverified
+            note(out, "armed", target=session.identity.board, notes=motion.notes, allow_unverified=allowed)
             try:
                 _drive(session, wanted, todo, study, course, out, watch)
             except LoopshapeError as error:
@@ -89,30 +96,27 @@ def record_on_target(
 
 
 def planned_motion(
-    session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned],
-    verdict: Path | None, allow_unverified: bool,
-) -> tuple[Motion, Configuration]:  # fmt: skip
+    session: Session, port: str, study: Study, plant: Rig, todo: Sequence[Planned], clearance: Clearance
+) -> tuple[Motion, Configuration]:
     """What a target is about to do, and how it is configured for that; refuses what is outside its limits."""
     settings, identity, loops = study.target, session.identity, todo[0].loops
     assert settings is not None
     pwm = header(study, plant).pwm or study.pwm
     wanted = configuration(identity, loops, settings, study.rate_hz, pwm, study.diagram)
-    notes = (*_unverified(loops, wanted, verdict, allow_unverified), *_older_target(identity))
-    notes += tuple(loud(session, loops, wanted, allow_unverified))
+    notes = (*_unverified(loops, wanted, *clearance), *_older_target(identity))
+    notes += tuple(loud(session, loops, wanted, clearance.allow_unverified))
     motion = Motion(identity, port, settings, tuple(todo), lambda one: experiment(study, plant, one), notes)
     _refuse_signals_beyond_limits(motion, wanted)
     return motion, wanted
 
 
-def motion_of(
-    study: Study, plant: Rig, port: str, verdict: Path | None = None, allow_unverified: bool = False
-) -> Motion:
+def motion_of(study: Study, plant: Rig, port: str, clearance: Clearance) -> Motion:
     """What a target at a port would do in a study, with nothing moved; refuses what measuring would refuse."""
     if study.target is None:
         raise WrongUseError("the study drives no target", f"rig = {study.rig!r}", "simulate it: ls.rig.measure")
     _refuse_what_only_models_do(study)
     with open_link(port, study.target.baud) as link:
-        return planned_motion(Session(link), port, study, plant, plan(study, plant), verdict, allow_unverified)[0]
+        return planned_motion(Session(link), port, study, plant, plan(study, plant), clearance)[0]
 
 
 def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | None, allowed: bool) -> tuple[str, ...]:
@@ -127,7 +131,8 @@ def _unverified(loops: Sequence[LoopSetup], wanted: Configuration, file: Path | 
     radius = own_radius(wanted.blocks, 2 * len(wanted.outputs))
     if radius is None:
         doubts.append("the diagram has too many states for the stability of its controllers alone to be computed")
-    circle = [f"the diagram's controllers alone are unstable, |z| = {radius:.9g}"] if (radius or 0.0) > CIRCLE else []
+    away = radius is not None and radius > 1.0 + 1e-6  # integrators, several at a place, lie within rounding of |z| = 1
+    circle = [f"the diagram's controllers alone are unstable, |z| = {radius:.9g}"] if away else []
     if not allowed and (refused := [*(doubts if file else []), *circle]):
         raise WrongUseError(
             "the controllers are not verified", "; ".join(refused),
@@ -166,7 +171,7 @@ def loud(
     through each loop's controller (the sum of squares of its pulse response; schedules and diagrams are left out).
     """
     rows = []
-    for _ in range(READINGS):
+    for _ in range(50):  # of the sensors, before anything is armed
         rows.append(session.status().sensors)
         sleep(2.0 / session.identity.rate_hz)
     readings = np.array(rows)

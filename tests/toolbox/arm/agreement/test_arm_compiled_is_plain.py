@@ -12,7 +12,7 @@ import sys
 import numpy as np
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.experiment import Experiment
-from loopshape.core.kernels.noise import advance, normal_pair, start_state
+from loopshape.toolbox.gap.noise import advance, normal_pair, start_state
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.closed_loop import run
 

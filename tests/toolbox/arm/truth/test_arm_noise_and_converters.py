@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from loopshape.core.kernels.noise import normal_pair, start_state
+from loopshape.toolbox.gap.noise import normal_pair, start_state
 
 N = 200_000
 

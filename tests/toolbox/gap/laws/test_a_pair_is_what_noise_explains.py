@@ -4,15 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from loopshape.toolbox.gap.diagnose.decide import (
-    ONE_EFFECT,
-    WRONG_FORM_LEAVES,
-    WRONG_FORM_PAIRS,
-    decided,
-    healthy_prior,
-    probabilities,
-)
+from loopshape.toolbox.gap.diagnose.decide import decided, healthy_prior, probabilities
 from loopshape.toolbox.gap.nouns.effect import EffectForm
+from loopshape.toolbox.gap.tolerances import TOL
 
 PAIRS = {"play@rail+friction@rail", "friction@rail+lag@belt"}
 SEEN = {  # a cart with an effect that is in no list, as it was answered: a pair, though 37 of 397 floors are left
@@ -24,7 +18,8 @@ SEEN = {  # a cart with an effect that is in no list, as it was answered: a pair
 def test_a_pair_that_leaves_more_than_noise_is_refuted_and_what_is_unlisted_stays_unknown():
     out = decided(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 37.0, "friction@rail": 178.0})
     assert next(iter(out)) == "unknown"
-    assert out["friction@rail"] / out["unknown"] == pytest.approx(WRONG_FORM_LEAVES)  # its other forms leave as much
+    leaves = TOL.wrong_form_leaves  # its other forms leave as much
+    assert out["friction@rail"] / out["unknown"] == pytest.approx(leaves)
     assert sum(out.values()) == pytest.approx(1.0)
 
 
@@ -39,7 +34,7 @@ def test_a_second_effect_that_takes_up_what_a_form_leaves_gives_way_to_the_first
 def test_a_pair_that_leaves_only_noise_stays_and_is_no_surer_than_a_wrong_form_allows():
     out = decided(SEEN, PAIRS, 397.0, {"play@rail+friction@rail": 0.6, "friction@rail": 178.0})
     assert list(out)[:2] == ["play@rail+friction@rail", "friction@rail"]
-    assert out["play@rail+friction@rail"] == pytest.approx(1.0 / (1.0 + WRONG_FORM_PAIRS))
+    assert out["play@rail+friction@rail"] == pytest.approx(1.0 / (1.0 + TOL.wrong_form_pairs))
     assert sum(out.values()) == pytest.approx(1.0)
 
 
@@ -56,7 +51,7 @@ def test_what_names_no_effect_is_left_as_it_is():
 
 def test_unknown_by_many_recordings_is_no_surer_than_a_wrong_form_allows():
     out = decided({"unknown": 1.0 - 1e-12, "friction@rail": 1e-12, "none": 0.0}, PAIRS, 90.0, {"friction@rail": 60.0})
-    assert out["friction@rail"] / out["unknown"] == pytest.approx(WRONG_FORM_LEAVES)
+    assert out["friction@rail"] / out["unknown"] == pytest.approx(TOL.wrong_form_leaves)
     assert out["none"] == 0.0
 
 
@@ -66,5 +61,5 @@ def test_a_machine_where_no_effect_explains_anything_is_healthy_however_many_eff
         EffectForm(f"kind{k}@rail", "form", "rail", "N", (), {}, {}, 1.0, (0.0, 1.0), "") for k in range(count)
     )
     plant = SimpleNamespace(effects=effects, calibrated=False)
-    prices = {"none": -healthy_prior(plant)} | dict.fromkeys([f.effect for f in effects], ONE_EFFECT)
+    prices = {"none": -healthy_prior(plant)} | dict.fromkeys([f.effect for f in effects], TOL.one_effect)
     assert probabilities(prices)["none"] >= 0.5 - 1e-9

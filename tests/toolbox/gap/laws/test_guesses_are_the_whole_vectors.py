@@ -10,6 +10,7 @@ from loopshape.toolbox.gap.diagnose import attribute, decide, fitting
 from loopshape.toolbox.gap.diagnose.evidence import Cell, Evidence
 from loopshape.toolbox.gap.diagnose.hypothesis import Hypothesis
 from loopshape.toolbox.gap.nouns.effect import EffectForm, Free, Spread
+from loopshape.toolbox.gap.tolerances import TOL
 
 CELLS = (Cell("r1", "a", 0, 40, 0.5), Cell("r1", "b", 40, 100, 2.0), Cell("r2", "a", 100, 170, 0.5))
 RNG = np.random.default_rng(5)
@@ -75,8 +76,8 @@ def test_an_effect_that_contains_another_costs_what_two_effects_cost(evidence):
         (guess,) = attribute.started(evidence, [Hypothesis(evidence.plant, (f,))], fits[0])
         fits.append(fitting.at(evidence, guess.hypothesis, guess.phi, -np.column_stack([OWN, SPREAD])))
     none, alone, containing = (decide.candidate(evidence, f, fits[0]).price for f in fits)
-    assert (none, alone) == (0.0, decide.ONE_EFFECT)
-    assert containing == pytest.approx(decide.TWO_EFFECTS)
+    assert (none, alone) == (0.0, TOL.one_effect)
+    assert containing == pytest.approx(TOL.two_effects)
 
 
 def test_a_size_is_as_sure_as_its_form_fits(evidence):
@@ -91,7 +92,7 @@ def test_a_size_is_as_sure_as_its_form_fits(evidence):
         return attribute.deviation_of_magnitude(evidence, found, left, gap, 0)
 
     wider = np.sqrt(deviation(20.0) ** 2 - deviation(1e9) ** 2)  # of 20 a tenth is left, of 1e9 nothing
-    assert wider == pytest.approx(attribute.OF_WHAT_IS_LEFT * 0.1 * found.magnitudes[0], rel=1e-6)
+    assert wider == pytest.approx(TOL.of_what_is_left * 0.1 * found.magnitudes[0], rel=1e-6)
     assert attribute.share_left(none, none) == 1.0
 
 

@@ -6,7 +6,7 @@ from bench_nouns import LoopSetup, Recording, RecordingInfo
 from scipy.signal import lfilter
 
 from loopshape.toolbox.rig.settings import Limit
-from loopshape.toolbox.rig.steps.escalation import Escalation, Stop, at_rest
+from loopshape.toolbox.rig.steps.escalation import Climb, Escalation, Stop, at_rest
 from loopshape.toolbox.rig.steps.escalation import tested as step_after
 
 RATE, PERIOD = 1000.0, 1000
@@ -36,6 +36,10 @@ def moved(u, seed=1):
     return lfilter([0.0, 0.1], [1.0, -0.9], u) + 0.001 * np.random.default_rng(seed).standard_normal(u.size)
 
 
+def climb_within(limits):
+    return Climb(LOOP, Escalation(), limits, COMMANDS, None)
+
+
 def stop_of(change=lambda u: u, freeze_from=None, size=1.0):
     n, u = signals(size)
     _, seen = at_rest(
@@ -45,7 +49,7 @@ def stop_of(change=lambda u: u, freeze_from=None, size=1.0):
     y = moved(u)
     if freeze_from is not None:
         y[freeze_from:] = y[freeze_from]
-    step, _ = step_after(recording(u, y, n), LOOP, Escalation(), LIMITS, COMMANDS, 10.0, (seen,), 0.1, None, None)
+    step, _ = step_after(recording(u, y, n), climb_within(LIMITS), 10.0, (seen,), 0.1, None)
     return step
 
 

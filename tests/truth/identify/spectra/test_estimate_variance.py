@@ -16,7 +16,7 @@ from scipy.signal import freqz, lfilter
 from scipy.stats import f as f_distribution
 
 from loopshape.identify.settings import Settings
-from loopshape.identify.spectra.averages import POOLED
+from loopshape.identify.tolerances import TOL
 
 pytestmark = pytest.mark.long
 
@@ -62,7 +62,8 @@ def test_multisines_by_periods(place, periods):
     ratio, coverage = ratio_and_coverage(frfs)
     assert ratio.mean() == pytest.approx(1.0, abs=0.05)
     (freedom,) = {frf.variance_freedom for frf in frfs}
-    assert POOLED <= freedom < 3 * POOLED  # 20 periods have 38 alone, and a mean over three lines is the least
+    # 20 periods have 38 alone, and a mean over three lines is the least
+    assert TOL.variance_freedom <= freedom < 3 * TOL.variance_freedom
     # measured: 0.937 to 0.945; without pooling two periods hold 0.75, five 0.89
     assert 0.92 < coverage < 0.97
     assert coverage == pytest.approx(share_held(1.0 + 0.5 * freedom), abs=0.015)

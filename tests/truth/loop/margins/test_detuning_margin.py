@@ -13,7 +13,8 @@ from loopshape.data.result.detuning import STABILITY
 from loopshape.identify.fit import fit
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.smooth.resonances import Phase, resonances
-from loopshape.loop.verdict import check
+from loopshape.loop.loops import loops_of
+from loopshape.loop.verdict import check, verdict_on
 
 LINES = np.unique(np.round(np.concatenate([np.arange(2.0, 200.0, 0.25), np.geomspace(200.0, 900.0, 80)]), 4))
 COARSE = np.arange(2.0, 900.0, 1.0)
@@ -164,10 +165,11 @@ def test_it_can_be_left_out():
         controller_with(WIDE, gain=0.08),
         ls.Requirements("axis", unstable_poles=0),
     )
-    without = check([frf], controller, asked, detuned=False).margins["r1"]
+    (loop,), _ = loops_of([frf], controller, asked)
+    without = verdict_on({"r1": loop}, asked, detuned=False).margins["r1"]
     assert np.isnan(without.detuning_percent)
     assert without.detuning is None
-    required = check([frf], controller, replace(asked, detuning_percent=1.0), detuned=False)
+    required = verdict_on({"r1": loop}, replace(asked, detuning_percent=1.0), detuned=False)
     assert np.isfinite(required.margins["r1"].detuning_percent)
 
 

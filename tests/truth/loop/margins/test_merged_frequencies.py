@@ -111,7 +111,7 @@ def exact():
 
 
 def margins(frf):
-    return check([frf], CONTROLLER, ls.Requirements("axis", unstable_poles=0), detuned=False).margins["r"]
+    return check([frf], CONTROLLER, ls.Requirements("axis", unstable_poles=0)).margins["r"]
 
 
 def test_margins_of_an_exact_frf_are_those_of_the_plant():

@@ -6,8 +6,9 @@ from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, limit_gain, loop_of, with_mode
 
 from loopshape.data.response.smoothed import spread
-from loopshape.loop.stability.obstacles import WRONG, chance_of_error, radius_of
+from loopshape.loop.stability.obstacles import chance_of_error, radius_of
 from loopshape.loop.stability.stability import closed_loop_stability
+from loopshape.loop.tolerances import TOL
 
 STABLE = ("one integrator", "two integrators", "three integrators", "unstable pole")
 
@@ -108,7 +109,7 @@ def test_the_chance_is_never_less_than_how_often_the_winding_comes_out_wrong(std
         wrong.append(abs(np.sum(np.angle(whole[1:] / whole[:-1])) - np.angle(ends[1] / ends[0])) > 1.0)
         chances.append(chance_of_error(np.abs(g) / std, alike)[0])
     assert np.mean(chances) >= np.mean(wrong)
-    sure = np.array(chances) < WRONG
+    sure = np.array(chances) < TOL.wrong_count
     assert not np.any(np.array(wrong)[sure])
     assert np.mean(sure) >= decided - 0.1
     assert (np.mean(wrong) > 0.02) == (std == 0.25)

@@ -32,7 +32,7 @@ def required(**more):
 
 
 def checked(frfs, requirements, controller=PI_LOOP):
-    return check(frfs, controller, requirements, detuned=False)
+    return check(frfs, controller, requirements)
 
 
 @pytest.mark.parametrize("response", SIZES)
@@ -109,13 +109,13 @@ def at_loads():
 def test_a_limit_that_depends_on_the_operating_point_is_judged_there_alone():
     asked = asking(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [1.2, 2.0]}, "phase_margin_deg": 45.0}])
     frfs, low = at_loads(), ls.Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
-    found = check(frfs, low, asked, detuned=False)
+    found = check(frfs, low, asked)
     (line,) = found.lines
     slack = {name: m.phase_margin_deg - (45.0 if name == "load 1.5" else 30.0) for name, m in found.margins.items()}
     assert line.recording == min(slack, key=slack.get)
     assert line.required == (45.0 if line.recording == "load 1.5" else 30.0)
     nowhere = asking(GAIN, phase_margin_deg=30.0, at=[{"where": {"load": [5.0, 9.0]}, "phase_margin_deg": 45.0}])
-    assert any("at no operating point" in text for text in check(frfs, low, nowhere, detuned=False).warnings)
+    assert any("at no operating point" in text for text in check(frfs, low, nowhere).warnings)
 
 
 def test_a_tuning_honours_limits_of_single_operating_points():

@@ -222,7 +222,7 @@ def test_intervals_know_the_gap_between_two_lines(name):
     P, f, f_hz = NARROW[name]
     unit, wish = controller(("gain", {"gain": 1.0})), ls.Requirements("x", integrators=1, unstable_poles=0)
     truth = exact(P, f, f_hz)
-    found = [check([measured(P, f, 0.01, seed)], unit, wish, detuned=False).margins["one"] for seed in range(16)]
+    found = [check([measured(P, f, 0.01, seed)], unit, wish).margins["one"] for seed in range(16)]
     inside = {q: np.mean([m.intervals[q][0] <= x <= m.intervals[q][1] for m in found]) for q, x in truth.items()}
     assert min(inside.values()) >= 0.75  # 16 draws of 0.95: less in 1 of 1,000 cases
     assert np.mean(list(inside.values())) >= 0.9

@@ -23,7 +23,7 @@ def frf_of(f, relative, seed=None):
 
 
 def answered(frf, gain=1.0, asked=DECLARED):
-    return check([frf], ls.Controller("axis", (Block("gain", {"gain": gain}),), RATE), asked, detuned=False)
+    return check([frf], ls.Controller("axis", (Block("gain", {"gain": gain}),), RATE), asked)
 
 
 def the_order(verdict):

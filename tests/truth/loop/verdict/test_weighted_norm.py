@@ -93,7 +93,7 @@ def test_each_weight_is_on_its_own_response(responses):
     (plant,) = (one for one in servos(0.0, 1500) if one.recording == "load 1.5")
     C = ls.Controller("one", (Block("gain", {"gain": 0.2}),), RATE)
     asked = ls.Requirements("one", integrators=1, unstable_poles=0, weights=weights)
-    (found,) = check([plant], C, asked, detuned=False).margins.values()
+    (found,) = check([plant], C, asked).margins.values()
     assert found.weighted_norm == pytest.approx(norm_of(plant, C, weights), rel=1e-4)
     assert 2.0 < found.at_hz["weighted_norm"] < 4.5
 
@@ -103,7 +103,7 @@ def test_the_interval_holds_the_norm_of_the_plants_without_noise(noise):
     weights = tuple(map(ls.Weight.from_table, FOUR))
     C = ls.Controller("one", (Block("gain", {"gain": 0.2}), Block("lead_lag", {"f1_hz": 12.0, "f2_hz": 200.0})), RATE)
     asked = required(weighted_norm=2.0, weights=FOUR)
-    found = check(servos(noise), C, asked, detuned=False).margins
+    found = check(servos(noise), C, asked).margins
     for plant, margins in zip(servos(0.0, 4000), found.values(), strict=True):
         truth, (low, high) = norm_of(plant, C, weights), margins.intervals["weighted_norm"]
         assert 0.998 * low < truth < 1.002 * high
