@@ -127,7 +127,9 @@ def _fit(structure: Structure, s: Solution, lines: FRF, digest: str) -> Fit:
     jacobian = _slopes(structure, s.x)
     covariance = jacobian @ s.covariance @ jacobian.T
     values, std = structure.meaning(s.x), np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    misfit = np.sqrt(np.mean(np.abs(lines.siso / model.response(lines.frequency_hz) - 1.0) ** 2))
+    off = np.abs(lines.siso / model.response(lines.frequency_hz) - 1.0)
+    known = lines.relative_std[:, 0, 0] <= TOL.misfit_std
+    misfit = np.sqrt(np.mean((off[known] if known.any() else off) ** 2))
     return Fit(
         structure=structure.name,
         model=model,

@@ -69,6 +69,8 @@ class Tolerances(NamedTuple):
     drowned_share: float = 0.1
     #: relative deviation of a plant input's answer from which on its quotient is not used: its bias is the square
     drowned_std: float = 0.3
+    #: lines known worse than this show their own noise and not how far a fit lies off (the valid band bridges as much)
+    misfit_std: float = 0.3
     #: relative deviation up to which a control is compared with its controller's answer
     known_control_std: float = 0.1
     #: complex degrees of freedom that a local window must leave to its noise

@@ -78,8 +78,8 @@ class Fit(Plain):
     """A model fitted to one FRF.
 
     `outcome` is `converged`, `not_converged` or `at_bound`; `chi2_per_dof` compares the residual with the
-    FRF's own variance, `misfit_db` is the rms of |measured/model - 1| as 20 log10(1 + .); `sufficient` is
-    the residual test's word: does what is left look like the noise? Intervals are widened by
+    FRF's own variance, `misfit_db` is the rms of |measured/model - 1| over lines known to 30 % as 20 log10(1 + .);
+    `sufficient` is the residual test's word: does what is left look like the noise? Intervals are widened by
     sqrt(chi2_per_dof) where the model misses more than the noise does. They then describe how well the
     numbers are pinned by these lines, not how true the structure is. `rig_parameters` are the FRF's
     `parameters`: settings of the rig that held for its recording alone; `frf_digest` marks that FRF. Of the

@@ -65,7 +65,8 @@ def of_loops(loop: Loop, recorded: Sequence[Disturbance]) -> dict[str, OneOfSeve
         refuse_other_rate(one, name, rate_hz)
     n = recorded[0].samples.size // 2 * 2
     f = np.asarray(np.fft.rfftfreq(n, 1.0 / rate_hz)[1:-1], dtype=float)
-    ways = _Ways.of(loop, recorded, f)
+    plant = _Elements.of(loop.plant, f)
+    ways = _Ways.of(loop, recorded, f, plant)
     taken = [amplitudes(one.samples[:n]) for one in recorded]
     before = np.array([z[: f.size] for z, _ in taken]).T
     error = ways.over(before)
@@ -73,11 +74,10 @@ def of_loops(loop: Loop, recorded: Sequence[Disturbance]) -> dict[str, OneOfSeve
     flat = _Ways(np.broadcast_to(loop.P[-1], ways.P.shape), ways.C0, ways.C1).over(before)
     whole = ways.over(np.array([np.fft.rfft(one.samples[:n])[1 : f.size + 1] for one in recorded]).T)
     means, inverse = _means(loop, recorded), np.linalg.inv(ways.closed(ways.C1))
-    plant, size = _Elements.of(loop.plant, f), len(recorded)
     covariance = loop.plant.covariance / (plant.own[:, :, None] * plant.own[:, None, :].conj())
     made = {}
     for k, (name, one, own) in enumerate(zip(loop.names, recorded, loop.controllers, strict=True)):
-        moves = (inverse[:, k, None, :] * pulled[:, :, None]).reshape(f.size, size**2).T * plant.here.T
+        moves = (inverse[:, k, None, :] * pulled[:, :, None]).reshape(f.size, -1).T * plant.here.T
         power = np.abs(error[:, k]) ** 2
         carried = Carried(
             f=f, before=before[:, k], error=error[:, k], scatter=0.5 * taken[k][1] * power**2, C1=ways.C1[:, k],
@@ -113,10 +113,10 @@ class _Ways(NamedTuple):
     C1: ComplexArray
 
     @classmethod
-    def of(cls, loop: Loop, recorded: Sequence[Disturbance], f: Array) -> _Ways:
+    def of(cls, loop: Loop, recorded: Sequence[Disturbance], f: Array, plant: _Elements) -> _Ways:
         under = [None if one.recorded_under is None else one.recorded_under.response(f) for one in recorded]
         C0 = np.array([np.zeros(f.size) if x is None else x for x in under], dtype=complex).T
-        return cls(_Elements.of(loop.plant, f).response(len(under)), C0, responses(loop.controllers, f))
+        return cls(plant.response(len(under)), C0, responses(loop.controllers, f))
 
     def closed(self, c: ComplexArray) -> ComplexArray:
         """I + P C."""
@@ -166,7 +166,8 @@ class _Elements(NamedTuple):
 def _means(loop: Loop, recorded: Sequence[Disturbance]) -> Array:
     """Means (n,) of the plant's inputs under the new controllers, by the plant near 0 Hz."""
     means = np.array([one.control_mean for one in recorded])
-    ways = _Ways.of(loop, recorded, np.array([1e-3 * loop.frequency_hz[0]]))
+    f = np.array([1e-3 * loop.frequency_hz[0]])
+    ways = _Ways.of(loop, recorded, f, _Elements.of(loop.plant, f))
     if not means.any() or not ways.C0.all() or not ways.C1.all():
         return means
     return np.asarray((ways.C1 * ways.over(means / ways.C0)).real[0])

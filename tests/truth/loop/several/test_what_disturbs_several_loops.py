@@ -142,3 +142,61 @@ def test_tuning_keeps_to_the_error_of_each_loop():
 def test_what_was_not_recorded_at_once_is_refused(changed, words):
     with pytest.raises(ls.errors.WrongUseError, match=words):
         ls.check(plant(0.01), controllers(AFTER), disturbance=changed(disturbances(7)))
+
+
+TONE_HZ = 3.0
+
+
+def coupled(P, pairs, struck):
+    """Errors (2,) of both loops to a tone at the output of one, as they are."""
+    c = np.array([C.response([TONE_HZ])[0] for C in controllers(pairs)])
+    return np.linalg.inv(np.eye(2) + P * c)[:, struck]
+
+
+def at_the_tone():
+    return READ @ np.linalg.solve(np.exp(2j * np.pi * TONE_HZ / RATE_HZ) * np.eye(4) - A, B)
+
+
+def of_a_tone(P, struck):
+    """Readings of both errors of a tone at one output, under the new controllers."""
+    t, old = np.arange(20_000) / RATE_HZ, coupled(at_the_tone(), BEFORE, struck)
+    still = [
+        ls.Disturbance.from_arrays(
+            np.real(old[k] * np.exp(2j * np.pi * TONE_HZ * t)), RATE_HZ, recorded_under=C, loop=C.loop, recording="tone"
+        )
+        for k, C in enumerate(controllers(BEFORE))
+    ]
+    whole = ls.Requirements(integrators=0, unstable_poles=0)
+    verdict = ls.check(P, controllers(AFTER), together=whole, disturbance=still)
+    return [next(iter(one.margins.values()))["error_rms"] for one in verdict.each]
+
+
+@pytest.mark.parametrize("struck", [0, 1])
+def test_a_tone_at_one_output_reaches_the_other_loop_by_the_plant(struck):
+    """What loop b makes of a tone at the output of a is the coupling from a to b, and not that from b to a."""
+    found = [one.value for one in of_a_tone(plant(1e-6), struck)]
+    assert found == pytest.approx(np.abs(coupled(at_the_tone(), AFTER, struck)) / np.sqrt(2.0), rel=0.02)
+
+
+def carried_over(P, struck):
+    """Errors (2,) to that tone as a plant P carries them over from the recorded ones."""
+    old, new = (np.eye(2) + P * [C.response([TONE_HZ])[0] for C in controllers(x)] for x in (BEFORE, AFTER))
+    return np.linalg.solve(new, old @ coupled(at_the_tone(), BEFORE, struck))
+
+
+@pytest.mark.parametrize("struck", [0, 1])
+def test_an_interval_is_wide_by_the_element_that_is_not_known(struck):
+    """A tenth's error of one element alone widens it as the derivative to this element does."""
+    exact, G = plant(1e-6), at_the_tone()
+    before = [np.diff(one.interval)[0] for one in of_a_tone(exact, struck)]
+    rise, slope = np.zeros((2, 2, 2)), np.zeros((2, 2, 2))
+    for a, b in np.ndindex(2, 2):
+        covariance, k = exact.covariance.copy(), 2 * b + a
+        covariance[:, k, k] = (0.1 * np.abs(exact.response[:, a, b])) ** 2
+        wide = [np.diff(one.interval)[0] for one in of_a_tone(replace(exact, covariance=covariance), struck)]
+        rise[a, b] = np.sqrt(np.maximum(np.square(wide) - np.square(before), 0.0))
+        step = np.zeros((2, 2))
+        step[a, b] = 1e-6
+        ends = [carried_over(G * (1.0 + x * step), struck) for x in (1.0, -1.0)]
+        slope[a, b] = np.abs(ends[0] - ends[1])
+    assert rise / rise.max() == pytest.approx(slope / slope.max(), rel=0.1, abs=0.03)
