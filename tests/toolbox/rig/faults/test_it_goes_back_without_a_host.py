@@ -1,6 +1,8 @@
 """A trial whose host is gone: the target goes back by itself, in C and in Python, before its watchdog vents it."""
 
 import time
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,18 +14,19 @@ from loopshape.toolbox.rig.target.armed import arm
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Configuration, Request, State
 from loopshape.toolbox.rig.target.session import Session
-from loopshape.toolbox.rig.target.target import configuration
+from loopshape.toolbox.rig.target.target import configuration, record
 from loopshape.toolbox.rig.target.trial import Phase, Progress, Trial, Watch, Why
 
 LEASE = 400  # ticks of 1 ms
 
 
 def gone(port, make, watch):
-    """A host that arms, begins a trial and is gone without a word; what the target says to the next one."""
+    """A host that arms, begins a trial, pushes and is gone without a word; what the target says to the next one."""
     with open_link(port, 0) as link:
         session = Session(link)
-        make(session)
+        push = make(session)
         session.ask(Request.BLEND, watch.payload())
+        push()
     until = time.monotonic() + 8.0  # before the watchdog; a busy machine's target is late
     while True:
         time.sleep(1.0)
@@ -34,8 +37,11 @@ def gone(port, make, watch):
             return found
 
 
-def on_the_arm(arm_experiment, gain):
-    """The simulated arm's loop of the angle under its own controller, and so many times it on trial."""
+def on_the_arm(arm_experiment, gain, pushed_deg=0.0):
+    """The simulated arm's loop of the angle under its own controller, and so many times it on trial.
+
+    An arm at rest between two steps of its encoder stays there under any controller: a push takes it out.
+    """
 
     def make(session):
         e = arm_experiment((5.0, 1.0), 10)
@@ -43,7 +49,9 @@ def on_the_arm(arm_experiment, gain):
         sections = e.loops[0].controller.biquads().copy()
         sections[0, :3] *= gain
         plain = configuration(session.identity, e.loops, wanted, e.rate_hz, {})
-        arm(session, wanted, e.loops, Configuration(**{**vars(plain), "trial": Trial(0, sections)}))
+        armed = arm(session, wanted, e.loops, Configuration(**{**vars(plain), "trial": Trial(0, sections)}))
+        push = replace(e, references=np.tile([np.radians(pushed_deg), 1.0], (10, 1)))
+        return lambda: record(armed, push, 1, lambda *about: nullcontext(lambda rows: None), None) if pushed_deg else None
 
     return make
 
@@ -56,6 +64,7 @@ def on_the_axis(gain):
         trial = Trial(0, sections * [gain, gain, gain, 1.0, 1.0])
         wanted = Configuration(one, one, (sections,), limits, False, 10_000, 0.0, trial=trial)
         session.ask(Request.ARM, session.configure(wanted))
+        return lambda: None
 
     return make
 
@@ -75,7 +84,7 @@ def test_in_c_it_goes_back_when_the_error_leaves_what_was_predicted(arm_experime
     """The sign turned: the loop runs away, and within a window of 50 ticks of what is watched it is back."""
     watch = Watch(1.0, 1, 60_000, 50, error_peak=np.radians(5.0), error_rms=np.radians(3.0))
     with emulator(tcp=0, real_time=True) as port:
-        status, found = gone(port, on_the_arm(arm_experiment, -1.0), watch)
+        status, found = gone(port, on_the_arm(arm_experiment, -1.0, pushed_deg=2.0), watch)
     assert status.state is State.ARMED
     assert (found.phase, found.share) == (Phase.WENT_BACK, 0.0)
     assert found.why in (Why.ERROR_PEAK, Why.ERROR_RMS)
