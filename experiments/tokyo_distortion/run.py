@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from loopshape.core.units import db
-from loopshape.identify.quality.distortion import Distortion, Lines, distortion
 from loopshape.io.files import write_bytes_whole
 from loopshape.toolbox.formats.tables.import_file import import_file
+from loopshape.toolbox.rig.distortion import Distortion, Lines, distortion
 from loopshape.view.plots.curves import frequency_axis
 from loopshape.view.style import COLOURS, QUIET, head, new_figure, png, styled
 

@@ -77,7 +77,7 @@ def estimate(
             warnings.append(f"no matrix of the plant: {error}")
     if not frfs and not matrices and (alone if matrix is False else recordings):
         raise BadSignalError("no recording of the run gives an FRF", "; ".join(warnings), "excite less, or elsewhere")
-    looked = [*_distortion(whole, alone), *_of_toolboxes(whole, recordings, frfs, watch)]
+    looked = list(_of_toolboxes(whole, recordings, frfs, watch))
     warnings += [one.sentence for one in looked if one.warning]
     if alone_here:
         watch.warn(warnings)
@@ -134,19 +134,6 @@ def _single(
                 warnings.append(f"{info.name}: {info.ended_early}; no FRF from it ({error.what})")
             step(info.name)
     return made
-
-
-def _distortion(run: Run, recordings: Sequence[Recording]) -> Iterable[Remark]:
-    """What periodic recordings with lines left out say of distortion: one for each loop and operating point."""
-    from loopshape.identify.quality.distortion import distortion
-
-    first: dict[Any, Recording] = {}
-    for recording in (r for r in recordings if r.info.period_s is not None):
-        first.setdefault((recording.info.excites, tuple(sorted(recording.info.operating_point.items()))), recording)
-    for recording in first.values():
-        it = distortion(recording, run.loop(str(recording.info.excites)))
-        if it.decidable:
-            yield Remark("distortion", f"{recording.info.name}: {it.verdict}")
 
 
 def _of_toolboxes(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF], watch: Watch) -> Iterable[Remark]:

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.special import fdtrc
 
 from loopshape.core.units import Array
-from loopshape.identify.quality.distortion import Lines
 from loopshape.identify.tolerances import TOL
 from loopshape.toolbox.planning.plan_record import FirstRecord, between
+from loopshape.toolbox.rig.distortion import Lines
 
 
 def planned_floor(first: FirstRecord, lines_hz: Array, line_input: Array, period_s: float, *, odd_lines: bool) -> Array:

@@ -21,11 +21,11 @@ from loopshape.identify.answers import Answers
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.local.local import CHUNK
 from loopshape.identify.local.local_fits import Window, fit_lines
-from loopshape.identify.quality.distortion import Distortion, distortion
 from loopshape.identify.respond import respond
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import LoopSignals, loop_signals
 from loopshape.identify.spectra.transforms import transform
+from loopshape.toolbox.rig.distortion import Distortion, distortion
 
 #: sqrt(E|d|²)/|H| below which a response to the instrument is one
 KNOWN = 0.3

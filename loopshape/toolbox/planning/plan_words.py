@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from loopshape.core.units import db, deg
-from loopshape.identify.quality.distortion import HOW
+from loopshape.toolbox.rig.distortion import HOW
 
 if TYPE_CHECKING:
     from loopshape.toolbox.planning.plan import Plan, Required

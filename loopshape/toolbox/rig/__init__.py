@@ -54,6 +54,7 @@ TOOLBOX = Toolbox(
             "Measure and import", "stop", "loopshape.toolbox.rig.commands.stop:stop", "loopshape stop runs/arm", 70
         ),
     ),
+    looks={"distortion": "loopshape.toolbox.rig.distortion:remarks"},
     names={
         "Study": "loopshape.toolbox.rig.study",
         "adopt": "loopshape.toolbox.rig.verbs.adopt",

@@ -12,9 +12,9 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.identify.quality.distortion import distortion
 from loopshape.toolbox.gap.nouns.effect import EffectForm
 from loopshape.toolbox.gap.nouns.effect_sheet import EffectSheet, FrfChange, TimeChange
+from loopshape.toolbox.rig.distortion import distortion
 from loopshape.toolbox.rig.effects import forms_of
 from loopshape.toolbox.rig.simulated import Rig, measure
 from loopshape.toolbox.rig.study import Study

@@ -12,7 +12,6 @@ from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.identify.quality.distortion import Distortion, distortion
 from loopshape.toolbox.gap.nouns.gap_table import DistortionLevels, GapRow, GapTable, NuGapRow
 from loopshape.toolbox.gap.two_runs.level_dependence import LevelDependence
 from loopshape.toolbox.gap.two_runs.levels import at_level, dependences, level_of
@@ -30,6 +29,7 @@ from loopshape.toolbox.gap.two_runs.table_paths import (
     paths_of,
 )
 from loopshape.toolbox.gap.two_runs.table_times import time_rows
+from loopshape.toolbox.rig.distortion import Distortion, distortion
 
 #: lines that a band needs for a row
 FEWEST = 2

@@ -14,6 +14,7 @@ errors of its own (a current sensor's), G U adds them, and a commanded input is 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,8 +22,11 @@ from scipy.special import fdtrc
 
 from loopshape.core.errors import BadSignalError
 from loopshape.core.units import Array, ComplexArray, db
+from loopshape.data.response.frf import FRF
+from loopshape.data.result.estimates import Remark
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
+from loopshape.data.signal.run import Run
 from loopshape.identify.settings import Settings
 from loopshape.identify.signals import loop_signals
 from loopshape.identify.spectra.averages import against_instrument
@@ -141,6 +145,17 @@ def distortion(recording: Recording, loop: LoopSetup) -> Distortion:
         bands=bands,
         verdict=_verdict(bands, kinds),
     )
+
+
+def remarks(run: Run, recordings: Sequence[Recording], frfs: Sequence[FRF]) -> Iterator[Remark]:
+    """What periodic recordings with lines left out say of distortion: one for each loop and operating point."""
+    first: dict[object, Recording] = {}
+    for recording in (r for r in recordings if r.info.alone and r.info.period_s is not None):
+        first.setdefault((recording.info.excites, tuple(sorted(recording.info.operating_point.items()))), recording)
+    for recording in first.values():
+        it = distortion(recording, run.loop(str(recording.info.excites)))
+        if it.decidable:
+            yield Remark("distortion", f"{recording.info.name}: {it.verdict}")
 
 
 def _cannot(recording: Recording) -> str:

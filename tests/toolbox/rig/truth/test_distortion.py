@@ -11,7 +11,7 @@ from conversions import db
 from scipy.io import loadmat
 
 import loopshape as ls
-from loopshape.identify.quality.distortion import distortion
+from loopshape.toolbox.rig.distortion import distortion
 
 RATE_HZ, PERIOD_S, N = 100.0, 4.0, 400
 #: odd lines 1 to 79 times 0.25 Hz without every fourth
