@@ -150,6 +150,11 @@ class Loop:
         """The plant's response (nf, n, n)."""
         return self.plant.response
 
+    @property
+    def measured(self) -> FRF:
+        """The plant's lines as they were measured: what is smoothed over frequency does not show what lies between."""
+        return self.plant if self.raw is None else self.raw
+
     @cached_property
     def c(self) -> ComplexArray:
         """Controllers as they run, discretised, (nf, n)."""

@@ -172,7 +172,7 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
 
 def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
     """Resonances of a loop's plant, as measured, whose damping is known and whose peak matters to L."""
-    raw = loop.plant if loop.raw is None else loop.raw
+    raw = loop.measured
     half = 0.5 * loop.controller.rate_hz / (1.0 + NEAR[-1])
     found = [x for x in resonances(raw) if x.frequency_hz < half and x.phase is not Phase.UNKNOWN]
     if not found:

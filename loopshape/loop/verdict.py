@@ -30,7 +30,7 @@ from loopshape.loop.margin.disturbed import (
     of_loop,
     of_points,
 )
-from loopshape.loop.margin.margins import margins
+from loopshape.loop.margin.margins import Reader, margins
 from loopshape.loop.matrix.disturbed_loops import of_each
 from loopshape.loop.matrix.matrix_margins import matrix_margins
 from loopshape.loop.order import decided_at_hz, longer, with_orders
@@ -169,7 +169,7 @@ def _check_one(
     loops, notes = loops_of(frfs, controller, requirements, fits, counted=alone)
     named = dict(zip(points_of(frfs), loops, strict=True))
     disturbed = of_points(named, disturbances)
-    found, made = _verdict_on(named, requirements, detuned=alone, disturbances=disturbed)
+    found, made = verdict_on(named, requirements, detuned=alone, disturbances=disturbed)
     notes += disturbance_warnings(named, made, requirements)
     if isinstance(controller, GainScheduled):
         notes += (FROZEN,)
@@ -292,27 +292,13 @@ def verdict_on(
     *,
     detuned: bool = True,
     disturbances: Mapping[str, Disturbance] | None = None,
-) -> Verdict:
+) -> tuple[Verdict, dict[str, Disturbed]]:
     """The verdict on loops by the names of their operating points; detuning margins are looked for where `detuned`.
 
-    `disturbances`, by the same names, tell the rms of the error and what the actuator must do.
+    `disturbances`, by the same names, tell the rms of the error and what the actuator must do; what came of them too.
     """
-    return _verdict_on(loops, requirements, detuned=detuned, disturbances=disturbances)[0]
-
-
-def _verdict_on(
-    loops: Mapping[str, Loop],
-    requirements: Requirements,
-    *,
-    detuned: bool,
-    disturbances: Mapping[str, Disturbance] | None,
-) -> tuple[Verdict, dict[str, Disturbed]]:
     asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
-    from_hz = requirements.control_high_frequency_from_hz
-    found = {
-        name: margins(loop, high_frequency_from_hz=from_hz, masks=asked[name].masks, weights=asked[name].weights)
-        for name, loop in loops.items()
-    }
+    found = {name: margins(loop, Reader.of(asked[name])) for name, loop in loops.items()}
     made = {name: of_loop(loops[name], found[name], one, asked[name]) for name, one in (disturbances or {}).items()}
     found |= {name: found[name].with_readings(**one.readings) for name, one in made.items()}
     return verdict_from(found, loops, requirements, detuned=detuned), made

@@ -10,11 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.remembered import remembered
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.signal.disturbance import Disturbance
@@ -47,8 +47,7 @@ def opened(loop: Loop, disturbance: Disturbance | None, requirements: Requiremen
     rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
     f, power = disturbance.frequency_hz[rows], disturbance.power[rows]
     if disturbance.recorded_under is not None:
-        plant = loop.plant if loop.raw is None else loop.raw
-        P = continued(plant, f, loop.integrators or 0).response
+        P = continued(loop.measured, f, loop.integrators or 0).response
         power = power * np.abs(1.0 + disturbance.recorded_under.response(f) * P) ** 2
     low, high = asked.control_range or (-np.inf, np.inf)
     mean = disturbance.control_mean
@@ -66,9 +65,6 @@ class _Spread:
     above: Array
 
 
-_SPREAD: WeakKeyDictionary[Problem, _Spread] = WeakKeyDictionary()
-
-
 def disturbed_rows(e: Evaluation, tighten: Tighten) -> Iterator[DenseRows]:
     """The room under each limit of what a disturbance makes, at each operating point whose disturbance is known."""
     p = e.p
@@ -76,9 +72,7 @@ def disturbed_rows(e: Evaluation, tighten: Tighten) -> Iterator[DenseRows]:
     known = np.flatnonzero([one is not None for one in p.opened])
     if not asked or not known.size:
         return
-    if p not in _SPREAD:
-        _SPREAD[p] = _spread(p)
-    powers = _Powers(e, _SPREAD[p])
+    powers = _Powers(e, _spread(p))
     for name in asked:
         yield _rows(name, powers, known, required(p, name, tighten))
 
@@ -152,6 +146,7 @@ def _largest_std(one: Opened, percent: float) -> float:
     return float(brentq(lambda std: 100.0 * actuator.share(std) - percent, *ends))
 
 
+@remembered
 def _spread(p: Problem) -> _Spread:
     on_lines, above = np.zeros((3, p.f.size)), np.zeros((3, p.points, p.beyond.start))
     for k, one in enumerate(p.opened):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loopshape.core.kernels.loops import flat_loops as kernel
 from loopshape.core.kernels.loops.tuning_rows import Flat
+from loopshape.core.remembered import remembered
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.block import series_response
 from loopshape.data.requirement.weight import WEIGHTED, stacked
@@ -125,17 +125,9 @@ class Weighed:
     above: Array
 
 
-_WEIGHED: WeakKeyDictionary[Problem, Weighed] = WeakKeyDictionary()
-
-
+@remembered
 def weighed(p: Problem) -> Weighed:
     """The weights of a problem."""
-    if p not in _WEIGHED:
-        _WEIGHED[p] = _made(p)
-    return _WEIGHED[p]
-
-
-def _made(p: Problem) -> Weighed:
     weights = p.requirements.weights
     if not weights:
         return Weighed(np.zeros(0), np.zeros(0), np.zeros((p.points, len(WEIGHTED), 0)))

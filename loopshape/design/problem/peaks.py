@@ -6,13 +6,12 @@ The norm of the weighted loop is sqrt(sum of |W|² |response|²) at its peaks: a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loopshape.core.kernels.loops import tuning_rows as kernel
-from loopshape.core.units import Array, rad
+from loopshape.core.remembered import remembered
+from loopshape.core.units import Array, ComplexArray, rad
 from loopshape.data.control.controller import HALF_POWER
 from loopshape.data.requirement.requirements import LIMITS
 from loopshape.design.problem.evaluation import Evaluation, weighed
@@ -40,38 +39,25 @@ _ABOVE = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class _Asked:
-    """What the kernel is told of a problem's limits on magnitudes, their levels left open."""
-
-    names: tuple[str, ...]
-    limits: kernel.Magnitudes
-
-
-_ASKED: WeakKeyDictionary[Problem, _Asked] = WeakKeyDictionary()
-
-
-def _asked(p: Problem) -> _Asked:
-    """The limits on magnitudes of a problem, made once."""
-    if p not in _ASKED:
-        names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.radius.any()))
-        masks = [x for x in names if x in p.masks]
-        limits = kernel.Magnitudes(
-            kinds=np.array([_KINDS[x] for x in names], dtype=np.int64),
-            level=np.zeros((0, p.points)),
-            from_hz=np.array([_from_hz(p, x) for x in names], dtype=float),
-            above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
-            masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
-            masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
-        )
-        _ASKED[p] = _Asked(names, limits)
-    return _ASKED[p]
+@remembered
+def _asked(p: Problem) -> tuple[tuple[str, ...], kernel.Magnitudes]:
+    """Names of a problem's limits on magnitudes, and these as the kernel takes them, their levels left open."""
+    names = tuple(x for x in _KINDS if x in p.limits or (x == SURE and p.radius.any()))
+    masks, from_hz = [x for x in names if x in p.masks], p.requirements.control_high_frequency_from_hz or 0.0
+    return names, kernel.Magnitudes(
+        kinds=np.array([_KINDS[x] for x in names], dtype=np.int64),
+        level=np.zeros((0, p.points)),
+        from_hz=np.array([from_hz * (x == "control_high_frequency_db") for x in names], dtype=float),
+        above=np.array([kernel.STAYS if x in _STAY else kernel.NOT for x in names], dtype=np.int64),
+        masks=np.stack([p.masks[x] for x in masks]) if masks else np.zeros((0, p.f.size)),
+        masked=np.array([masks.index(x) if x in masks else -1 for x in names], dtype=np.int64),
+    )
 
 
 @once
 def _levels(p: Problem, tighten: Tighten) -> Array:
     """ln of the largest magnitudes allowed (names, points)."""
-    names = _asked(p).names
+    names, _ = _asked(p)
     return np.array([_level(p, x, tighten) for x in names]).reshape(len(names), p.points)
 
 
@@ -80,11 +66,10 @@ def peak_rows(e: Evaluation, tighten: Tighten) -> Iterator[Rows]:
 
     They lie at local peaks and beside them, at the highest of each operating point, and on plateaus.
     """
-    p, asked = e.p, _asked(e.p)
+    p, (names, limits) = e.p, _asked(e.p)
     level = _levels(p, tighten)
-    made = kernel.magnitude_rows(e.flat, asked.limits._replace(level=level), _FAR, _FAR - _PLATEAU, _EVERY)
-    yield from of_kernel(asked.names, *made)
-    for name, mine in zip(asked.names, level, strict=True) if p.f_above.size else ():
+    yield from of_kernel(names, *_magnitude_rows(e, limits._replace(level=level)))
+    for name, mine in zip(names, level, strict=True) if p.f_above.size else ():
         if name in _ABOVE:
             yield _mask_above(e, name, mine)
         if name == NORM:
@@ -107,8 +92,8 @@ def _level(p: Problem, name: str, tighten: Tighten) -> Array:
     return np.log(2.0) - scaled(name, limit) if name == "disk_margin" else scaled(name, limit)
 
 
-def _from_hz(p: Problem, name: str) -> float:
-    return (p.requirements.control_high_frequency_from_hz or 0.0) if name == "control_high_frequency_db" else 0.0
+def _magnitude_rows(e: Evaluation, limits: kernel.Magnitudes) -> tuple[np.ndarray, Array, ComplexArray]:
+    return kernel.magnitude_rows(e.flat, limits, _FAR, _FAR - _PLATEAU, _EVERY)
 
 
 def _mask_above(e: Evaluation, name: str, level: Array) -> Rows:
@@ -167,8 +152,7 @@ def norm_rows(e: Evaluation) -> tuple[Rows, ...]:
     level = np.full((1, e.p.points), max(float(e.ln_norm.max()), float(_above(e)[0].max(initial=-np.inf))))
     kinds, above, none = np.array([kernel.NORM]), np.array([kernel.NOT]), np.zeros((0, e.p.f.size))
     limits = kernel.Magnitudes(kinds, level, np.zeros(1), above, none, np.array([-1]))
-    made = kernel.magnitude_rows(e.flat, limits, _FAR, _FAR - _PLATEAU, _EVERY)
-    places, value, ab = made
+    places, value, ab = _magnitude_rows(e, limits)
     lines = of_kernel((NORM,), places, value - level[0, 0], ab)
     return (*lines, *_norm_above(e, np.zeros(e.p.points)))
 

@@ -65,7 +65,7 @@ def shifted_verdict(
     names = list(loops) if points is None else [list(loops)[k] for k in points]
     mine = {name: replace(loops[name], controllers=(controller,)) for name in names}
     disturbed = {name: one for name, one in (disturbances or {}).items() if name in mine}
-    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False, disturbances=disturbed)
+    return verdict_on(mine, replace(asked, detuning_percent=None), detuned=False, disturbances=disturbed)[0]
 
 
 def closer(

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -29,6 +28,7 @@ from scipy.sparse import csr_array
 from scipy.special import chdtri
 
 from loopshape.core.kernels.smoothing import accepted_halves, excesses, smoothing_weights, within_span
+from loopshape.core.remembered import remembered
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.algebra.propagation import pick
 from loopshape.data.response.frf import FRF
@@ -46,24 +46,16 @@ SPAN = 1.6
 #: draws of the scatter, and their seed
 DRAWS, SEED = 200, 20071
 
-Band = tuple[float, float] | None
-_DONE: WeakKeyDictionary[FRF, dict[Band, tuple[FRF, Scatter]]] = WeakKeyDictionary()
 
-
-def smoothed(frf: FRF, band_hz: Band = None) -> tuple[FRF, Scatter]:
+@remembered
+def smoothed(frf: FRF, band_hz: tuple[float, float] | None = None) -> tuple[FRF, Scatter]:
     """The valid band of a 1 x 1 FRF, or those in a band, smoothed, and draws of their error; same FRF, same answer.
 
     The lines' covariance is used unchanged: one that is too small leaves the lines rough and the intervals short,
     one that is too large lets a window run over a narrow resonance. An FRF without variance stays unchanged, without
     scatter. Errors of neighbouring lines are drawn with the correlation that `line_overlap` tells.
     """
-    done = _DONE.setdefault(frf, {})
-    if band_hz not in done:
-        done[band_hz] = _smoothed(frf.between(*band_hz) if band_hz else frf.valid_lines())
-    return done[band_hz]
-
-
-def _smoothed(frf: FRF) -> tuple[FRF, Scatter]:
+    frf = frf.between(*band_hz) if band_hz else frf.valid_lines()
     y, v = frf.siso, pooled_variance(frf)
     if not v.any():
         return frf, Scatter(y, np.zeros((1, y.size), dtype=complex))
@@ -175,9 +167,7 @@ def _taps(overlap: float) -> Array:
     return np.append(np.ones(whole), b)
 
 
-_MATRICES: WeakKeyDictionary[FRF, tuple[Dense, ComplexArray] | None] = WeakKeyDictionary()
-
-
+@remembered
 def smoothed_matrix(frf: FRF) -> tuple[Dense, ComplexArray] | None:
     """Smoothed lines of a matrix FRF (n, ny, nu) with draws of their error, and what its narrow resonances add to them.
 
@@ -187,12 +177,8 @@ def smoothed_matrix(frf: FRF) -> tuple[Dense, ComplexArray] | None:
     pooled with those of neighbours where few degrees of freedom know them. Narrow resonances, which all elements share,
     are taken out before and put back after, between the lines too.
     """
-    if frf not in _MATRICES:
-        _MATRICES[frf] = _smoothed_elements(frf) if frf.covariance.any() else None
-    return _MATRICES[frf]
-
-
-def _smoothed_elements(frf: FRF) -> tuple[Dense, ComplexArray]:
+    if not frf.covariance.any():
+        return None
     ny, nu = frf.response.shape[1:]
     f, elements = frf.frequency_hz, [pick(frf, [i], [j]) for j in range(nu) for i in range(ny)]
     variance = np.stack([pooled_variance(one) for one in elements], axis=1)
@@ -247,8 +233,6 @@ def _root(covariance: ComplexArray, variance: Array) -> ComplexArray:
 #: groups in a window, the degree that must leave only noise in it, and the widest group in ln f
 _WINDOW, _DEGREE, _WIDEST = 16, 2, 0.005
 
-_FEWER: WeakKeyDictionary[FRF, FRF] = WeakKeyDictionary()
-
 
 def merged(frf: FRF) -> FRF:
     """A 1 x 1 FRF with more than 20,000 frequencies on fewer, a smaller one as it is; same FRF, same answer.
@@ -265,10 +249,7 @@ def merged(frf: FRF) -> FRF:
     many = 20_000  # an FRF of no more frequencies stays as it is
     if frf.frequency_hz.size <= many:
         return frf
-    if frf not in _FEWER:
-        v = pooled_variance(frf)
-        _FEWER[frf] = _grouped(frf, _starts(frf, v))
-    return _FEWER[frf]
+    return _grouped(frf)
 
 
 def _starts(frf: FRF, v: Array) -> np.ndarray:
@@ -326,8 +307,10 @@ def _variance(v: np.ndarray, starts: np.ndarray, overlap: float) -> np.ndarray:
     return np.asarray(_means(v, starts) * own.reshape(-1, *[1] * (v.ndim - 1)))
 
 
-def _grouped(frf: FRF, starts: np.ndarray) -> FRF:
+@remembered
+def _grouped(frf: FRF) -> FRF:
     """The FRF on groups of frequencies."""
+    starts = _starts(frf, pooled_variance(frf))
     made: dict[str, Any] = {"valid": frf.valid[starts]}
     for names, mean in ((_VARIANCES, partial(_variance, overlap=frf.line_overlap)), (_AVERAGED, _means)):
         made |= {n: mean(values, starts) for n in names if (values := getattr(frf, n)) is not None}

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from loopshape.core.kernels.loops.encirclements import turns
+from loopshape.core.remembered import remembered
 from loopshape.core.units import TWO_PI, Array, ComplexArray, hz
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
@@ -48,10 +48,6 @@ class Path:
     line: np.ndarray
 
 
-_DONE: WeakKeyDictionary[Loop, tuple[Dense, ComplexArray]] = WeakKeyDictionary()
-_RESTS: WeakKeyDictionary[FRF, tuple[Scatter, ComplexArray]] = WeakKeyDictionary()
-
-
 def path_of(loop: Loop) -> Path:
     """L of a loop between its lines."""
     dense, C = interpolated(loop)
@@ -59,17 +55,9 @@ def path_of(loop: Loop) -> Path:
     return Path(f, C * dense.response, np.abs(C) * rms, alike, np.isin(f, loop.frequency_hz))
 
 
+@remembered
 def interpolated(loop: Loop) -> tuple[Dense, ComplexArray]:
-    """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far.
-
-    The same loop, the same answer.
-    """
-    if loop not in _DONE:
-        _DONE[loop] = _interpolated(loop)
-    return _DONE[loop]
-
-
-def _interpolated(loop: Loop) -> tuple[Dense, ComplexArray]:
+    """The plant with its draws, and the controller, on lines and on places between them where 1 + L moves far."""
     dense = between_lines(loop)
     own = _controller_places(loop.controller, dense.frequency_hz)
     if own.size:
@@ -110,23 +98,16 @@ def _controller_places(controller: Controller, f: Array) -> Array:
     return every[(every > f[0]) & (every < f[-1])]
 
 
-def measured(loop: Loop) -> FRF:
-    """The lines as they were measured: what is smoothed over frequency does not show what lies between them."""
-    return loop.plant if loop.raw is None else loop.raw
-
-
 def without_narrow(loop: Loop) -> ComplexArray:
     """The measured lines (nf,) without the resonances that the path follows."""
-    return _rest(measured(loop), loop.scatter)
+    return _rest(loop.measured, loop.scatter)
 
 
+@remembered
 def _rest(lines: FRF, scatter: Scatter | None) -> ComplexArray:
     if scatter is None or not scatter.pole_hz.size:
         return lines.siso
-    known = _RESTS.get(lines)
-    if known is None or known[0] is not scatter:
-        known = _RESTS[lines] = scatter, lines.siso - scatter.narrow(lines.frequency_hz)
-    return known[1]
+    return np.asarray(lines.siso - scatter.narrow(lines.frequency_hz))
 
 
 def turns_past_cluster(cluster: ModeCluster, loop: Loop, path: Path) -> tuple[int, int, Array, bool]:

@@ -30,7 +30,6 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, ComplexArray, angular
 from loopshape.data.requirement.requirements import LIMITS, Requirements
-from loopshape.data.response.frf import FRF
 from loopshape.data.result.margins import Interval, Margins, Reading
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.loop import Loop
@@ -141,7 +140,7 @@ def carried(loop: Loop, disturbance: Disturbance) -> Carried:
     rate_hz = loop.controller.rate_hz
     refuse_other_rate(disturbance, loop.plant.loop, rate_hz)
     f, power, scatter = _lines_of(disturbance, rate_hz)
-    plant, before = _plant(loop), np.sqrt(power).astype(complex)
+    plant, before = loop.measured, np.sqrt(power).astype(complex)
     there = continued(plant, f, loop.integrators or 0)
     C0, C1, P = _old(disturbance, f), loop.controller.response(f), there.response
     ratio = (1.0 + C0 * P) / (1.0 + C1 * P)  # S under the new controller over S under the old one
@@ -173,10 +172,6 @@ def refuse_other_rate(disturbance: Disturbance, loop: str, rate_hz: float) -> No
         )
 
 
-def _plant(loop: Loop) -> FRF:
-    return loop.plant if loop.raw is None else loop.raw
-
-
 def _old(disturbance: Disturbance, f: Array) -> ComplexArray:
     held = disturbance.recorded_under
     return np.zeros(f.size, dtype=complex) if held is None else held.response(f)
@@ -185,7 +180,7 @@ def _old(disturbance: Disturbance, f: Array) -> ComplexArray:
 def _actuator(loop: Loop, disturbance: Disturbance, control_range: Interval) -> Actuator:
     """The room about the mean under the loop's controller, which follows from the old mean by both near 0 Hz."""
     f = np.array([1e-3 * loop.frequency_hz[0]])
-    P = continued(_plant(loop), f, loop.integrators or 0).response[0]
+    P = continued(loop.measured, f, loop.integrators or 0).response[0]
     C0, C1 = _old(disturbance, f)[0], loop.controller.response(f)[0]
     mean = disturbance.control_mean
     if mean and C0 and C1:
@@ -314,7 +309,7 @@ def _padded(response: ComplexArray, n: int) -> ComplexArray:
 def _through_time(loop: Loop, C0: ComplexArray, error: ComplexArray, n: int) -> Record:
     """Input and error of the linear loop from the error under the old controller, on the lines of n samples."""
     f = _lines(n, loop.controller.rate_hz)
-    P, C1 = continued(_plant(loop), f, loop.integrators or 0).response, loop.controller.response(f)
+    P, C1 = continued(loop.measured, f, loop.integrators or 0).response, loop.controller.response(f)
     made = error * (1.0 + C0 * P) / (1.0 + C1 * P)
     still = [np.concatenate([[0.0], x, np.zeros(n // 2 - f.size)]) for x in (C1 * made, made)]
     return Record(*(np.fft.irfft(x, n) for x in still))

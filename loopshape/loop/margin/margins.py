@@ -114,13 +114,7 @@ class _Judged:
         return np.asarray(self.factor[k] * self.deviations[:, k])
 
 
-def margins(
-    loop: Loop,
-    *,
-    high_frequency_from_hz: float | None = None,
-    masks: Sequence[Mask] = (),
-    weights: Sequence[Weight] = (),
-) -> Margins:
+def margins(loop: Loop, reader: Reader | None = None) -> Margins:
     """Margins of a loop on its FRF's lines; crossings are interpolated between lines.
 
     - gain margin: the factor that brings L to -1 from within, least over all crossings of the negative real
@@ -154,9 +148,8 @@ def margins(
     `stable` says "stable".
     """
     j = _judged(loop)
-    reader = Reader(np.inf if high_frequency_from_hz is None else high_frequency_from_hz, tuple(masks), tuple(weights))
     readings = _readings_from_below(loop, j)
-    known, first = _found(loop, j, readings, reader), readings[0]
+    known, first = _found(loop, j, readings, reader or Reader()), readings[0]
     stability = closed_loop_stability(loop)
     crossings, crossing_intervals = _crossings(first, unit=True)
     phase_crossings, phase_intervals = _crossings(first, unit=False)

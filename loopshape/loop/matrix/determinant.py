@@ -22,6 +22,7 @@ from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.loop import Loop, characteristic_loci, responses, sensitivity
 from loopshape.loop.margin.between import Path, chords_to_minus_one
+from loopshape.loop.stability.low_end import lowest_count
 from loopshape.loop.stability.obstacles import ON_IT, Sampling, Undecided, doubt, sampling
 from loopshape.loop.stability.sampling import HiddenPole, hidden_poles
 from loopshape.loop.stability.stability import Stability
@@ -289,7 +290,7 @@ def low_end(f: Array, loci: ComplexArray) -> LowEnd:
 
     Loci of size 1 and above rule det(I + L) there by themselves, those below 1 by 1 + lambda.
     """
-    count = _lowest(f)
+    count = lowest_count(f)
     large = np.abs(loci[0]) >= 1.0
     large |= _mirrored(loci[0], large)
     part = np.where(large, loci[:count], 1.0 + loci[:count])
@@ -305,7 +306,7 @@ def low_end(f: Array, loci: ComplexArray) -> LowEnd:
 
 def slopes(f: Array, loci: ComplexArray) -> Array:
     """d ln|lambda|/d ln f (n,) of each locus (nf, n) over the lowest lines."""
-    count = _lowest(f)
+    count = lowest_count(f)
     size = np.log(np.maximum(np.abs(loci[:count]), 1e-300))
     return np.asarray(np.polyfit(np.log(f[:count]), size, 1)[0] if count > 1 else np.zeros(loci.shape[1]))
 
@@ -373,8 +374,3 @@ def _small_doubt(f: Array, loci: ComplexArray, low: LowEnd) -> Undecided | None:
         reason = f"eigenvalues of L below 1 turn det(I + L) by {turned:.0f} deg at the lowest frequency, {f[0]:.3g} Hz"
         return Undecided(f"{reason}: measure lower", (0.1 * float(f[0]), float(f[0])))
     return None
-
-
-def _lowest(f: Array) -> int:
-    lowest = 1.6  # the lowest lines, this ratio of frequencies and four at least, tell the slope there
-    return min(max(4, int(np.searchsorted(f, lowest * f[0]))), f.size)

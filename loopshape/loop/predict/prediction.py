@@ -73,7 +73,7 @@ def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
 def _one(
     loop: Loop, stability: Stability, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int
 ) -> Prediction:
-    plant = loop.plant if loop.raw is None else loop.raw  # smoothed lines share errors, which a comparison cannot know
+    plant = loop.measured  # smoothed lines share errors, which a comparison cannot know
     S = replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
     if stability.outcome is not ClosedLoop.STABLE:
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
@@ -174,43 +174,27 @@ def _tested(
 ) -> Comparison:
     """Two measurements of one response."""
     one, two, missed, more = on_common_lines(first, second)
-    notes += more
+    made = Comparison(
+        loop=loop, predicted_from=first.recording, measured_from=second.recording,
+        operating_point=dict(second.operating_point), outcome=Agreement.CANNOT_TELL, p_value=float("nan"), level=level,
+        lines=0, bands=(), noticed_db=float("inf"), tolerance_db=tolerance_db, notes=notes + more,
+    )  # fmt: skip
     if not missed.size:
-        return _compared(loop, first, second, Agreement.CANNOT_TELL, level, tolerance_db, notes)
+        return made
     lines = paired(one, two, missed, tolerance_db, plants)
     p_value, bands = tested(lines)
     noticed = noticed_db(lines, level)
     sharp = noticed <= max(TOL.noticed_db, 2.0 * tolerance_db)
     passed = Agreement.CONFIRMED if sharp else Agreement.CANNOT_TELL
-    outcome = Agreement.REFUTED if p_value < level else passed
     return replace(
-        _compared(loop, first, second, outcome, level, tolerance_db, notes),
+        made,
+        outcome=Agreement.REFUTED if p_value < level else passed,
         p_value=p_value,
         lines=lines.frequency_hz.size,
         bands=bands,
         noticed_db=noticed,
         predicted_peak_db=float(db(lines.predicted).max()),
         measured_peak_db=float(db(lines.measured).max()),
-    )
-
-
-def _compared(
-    loop: str, first: FRF, second: FRF, outcome: Agreement, level: float, tolerance_db: float, notes: tuple[str, ...]
-) -> Comparison:
-    """The noun of two measurements, without numbers yet."""
-    return Comparison(
-        loop=loop,
-        predicted_from=first.recording,
-        measured_from=second.recording,
-        operating_point=dict(second.operating_point),
-        outcome=outcome,
-        p_value=float("nan"),
-        level=level,
-        lines=0,
-        bands=(),
-        noticed_db=float("inf"),
-        tolerance_db=tolerance_db,
-        notes=notes,
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
+from loopshape.loop.stability.low_end import low_order
 
 T = TypeVar("T", Array, ComplexArray)
 #: slope with which a plant is taken to fall above its highest frequency
@@ -74,7 +75,4 @@ def _excess(lowest: complex, integrators: int) -> float:
 
 def integrators_of(lines: FRF) -> int:
     """Slope of the lowest lines (a factor of 1.6 in frequency, four at least) in 20 dB a decade, to the next whole."""
-    f = lines.frequency_hz
-    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
-    x, y = np.log(f[:count] / f[0]), np.log(np.abs(lines.siso[:count]))
-    return max(0, round(-float((x - x.mean()) @ y / max((x - x.mean()) @ x, 1e-300))))
+    return max(0, round(low_order(lines)[1]))

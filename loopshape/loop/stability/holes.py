@@ -46,7 +46,7 @@ class Gap:
 
 def gaps_of(loop: Loop) -> tuple[Gap, ...]:
     """Gaps of a loop's measured lines in which little is known of the plant, whatever its controller."""
-    raw = loop.plant if loop.raw is None else loop.raw
+    raw = loop.measured
     return _gaps(raw, loop.beyond, loop.unstable_poles is None or loop.unstable_poles > 1)
 
 

@@ -62,7 +62,7 @@ def low_models(loop: Loop) -> tuple[LowModel, ...]:
     """Small models of the lowest lines, which say how the plant goes on below them."""
     if loop.integrators is None:
         return ()
-    return _low_frequency_models(loop.plant if loop.raw is None else loop.raw, loop.integrators)
+    return _low_frequency_models(loop.measured, loop.integrators)
 
 
 def low_hz(loop: Loop) -> Array:
@@ -79,7 +79,7 @@ def is_large(loop: Loop) -> bool:
 @lru_cache(maxsize=256)
 def slope_of(loop: Loop) -> float:
     """-slope/20 dB a decade of L over the lowest lines of a loop."""
-    lines = loop.plant if loop.raw is None else loop.raw
+    lines = loop.measured
     return low_order(
         replace(lines, response=lines.response * loop.controller.response(lines.frequency_hz)[:, None, None])
     )[1]
@@ -96,7 +96,7 @@ def is_told(loop: Loop) -> bool:
         return any(is_simple(model) for model in models)
     if loop.model is not None or models:
         return True
-    lines = loop.plant if loop.raw is None else loop.raw
+    lines = loop.measured
     phase, slope = low_order(lines)
     if is_large(loop) and abs(phase - slope) < 1.0:  # no pair of poles lies below that the phase does not show
         return True
@@ -115,8 +115,7 @@ def holds_below(loop: Loop, poles: int) -> bool:
     of those are unstable, or its phase were turned over. Each leaves one unstable closed-loop pole less to the lines
     than was counted (Nyquist 1932), which changes the outcome where none is left, and is impossible below none.
     """
-    lines = loop.plant if loop.raw is None else loop.raw
-    as_declared = is_large(loop) and round(low_order(lines)[1]) == (loop.integrators or 0)
+    as_declared = is_large(loop) and round(low_order(loop.measured)[1]) == (loop.integrators or 0)
     return as_declared and (poles == 0 or poles % 2 == 1 or poles > (loop.unstable_poles or 0))
 
 
@@ -129,12 +128,15 @@ def is_simple(model: LowModel) -> bool:
 
 def low_order(lines: FRF) -> tuple[float, float]:
     """-phase/90 deg and -slope/20 dB a decade over the lowest lines (a factor of 1.6 in frequency, four at least)."""
-    f = lines.frequency_hz
-    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
-    lowest = lines.siso[:count]
+    f, lowest = lines.frequency_hz, lines.siso[: lowest_count(lines.frequency_hz)]
     phase = float(deg(np.angle(np.mean(lowest / np.abs(lowest)))))
     slope = np.polyfit(np.log(f[: lowest.size]), np.log(np.abs(lowest)), 1)[0] if lowest.size > 1 else 0.0
     return -phase / 90.0 + (4.0 if phase > 45.0 else 0.0), float(-slope)
+
+
+def lowest_count(f: Array) -> int:
+    """How many lines f (nf,) in Hz tell the slope at the low end: up to 1.6 times the first, four at least."""
+    return min(max(4, int(np.searchsorted(f, 1.6 * f[0]))), f.size)
 
 
 def room_of(lines: FRF) -> float:
@@ -142,9 +144,8 @@ def room_of(lines: FRF) -> float:
 
     One more pole below the lines, which the phase does not show, would separate them by 1.
     """
-    f = lines.frequency_hz
-    count = max(4, int(np.searchsorted(f, 1.6 * f[0])))
-    x = np.log(f[:count])
+    count = lowest_count(lines.frequency_hz)
+    x = np.log(lines.frequency_hz[:count])
     if x.size < 4:
         return TOL.integrators_agree
     relative = np.sqrt(lines.variance[:count, 0, 0]) / np.maximum(np.abs(lines.siso[:count]), 1e-300)

@@ -15,7 +15,6 @@ from loopshape.loop.loop import HIGHEST, Loop
 from loopshape.loop.margin.between import (
     Path,
     chords_to_minus_one,
-    measured,
     turns_past_cluster,
     without_narrow,
 )
@@ -147,7 +146,7 @@ def may_be_oscillatory(loop: Loop) -> bool:
 
 def _spread(loop: Loop) -> tuple[Array, float]:
     """Variance (nf,) of the measured lines and its degrees of freedom, pooled where few are known."""
-    lines = measured(loop)
+    lines = loop.measured
     return pooled_variance(lines), max(lines.variance_freedom, estimates.TOL.decided_freedom)
 
 
@@ -178,13 +177,13 @@ def cluster_bands_in(loop: Loop) -> tuple[ClusterBand, ...]:
 
 def polynomial_residual(loop: Loop, band: ClusterBand) -> float:
     """How far the lines of a stretch leave a polynomial at most, in |P|."""
-    return interpolation_residual(loop.frequency_hz, measured(loop).siso, _spread(loop)[0], band)
+    return interpolation_residual(loop.frequency_hz, loop.measured.siso, _spread(loop)[0], band)
 
 
 def cluster_in(loop: Loop, band: ClusterBand) -> ModeCluster:
     """What explains the lines of a stretch, whatever the controller."""
     unstable = may_be_oscillatory(loop)
-    return cluster_of(loop.frequency_hz, measured(loop).siso, *_spread(loop), band, unstable=unstable)
+    return cluster_of(loop.frequency_hz, loop.measured.siso, *_spread(loop), band, unstable=unstable)
 
 
 def interpolation_residuals(loop: Loop) -> tuple[Array, np.ndarray]:

@@ -21,7 +21,7 @@ from loopshape.core.units import ComplexArray, deg, hz
 from loopshape.data.response.model import TransferFunction
 from loopshape.identify.smooth.resonances import Phase, resonances
 from loopshape.loop.loop import Loop
-from loopshape.loop.margin.between import Path, between_lines, measured, path_of
+from loopshape.loop.margin.between import Path, between_lines, path_of
 from loopshape.loop.stability.low_end import (
     BELOW_RATIOS,
     below_lines,
@@ -141,7 +141,7 @@ def unstable_or_undamped(model: TransferFunction) -> ComplexArray:
 
 def _sign_of_one(loop: Loop) -> str:
     """The resonances that look like unstable pole pairs, in words; empty where there is none."""
-    rising = [x.frequency_hz for x in resonances(measured(loop)) if x.phase is Phase.RISING]
+    rising = [x.frequency_hz for x in resonances(loop.measured) if x.phase is Phase.RISING]
     if not rising:
         return ""
     at = ", ".join(f"{f:.3g}" for f in rising)
@@ -214,7 +214,7 @@ def swing_near(loop: Loop) -> float:
     """
     C = loop.controller.response(np.append(low_hz(loop), loop.frequency_hz[0]))
     turn = np.unwrap(np.angle(C))
-    phase, slope = low_order(measured(loop))
+    phase, slope = low_order(loop.measured)
     agree = abs(phase - slope) < TOL.integrators_agree
     more = max(round(slope - (loop.integrators or 0)), 0) if agree and not loop.unstable_poles else 0
     return float(turn[-1] - turn[0] - 0.5 * np.pi * more)

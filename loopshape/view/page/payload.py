@@ -232,7 +232,7 @@ def certificate_words(verdict: Verdict) -> dict[str, Any]:
 
 
 def _point(name: str, loop: Loop) -> dict[str, Any]:
-    raw = loop.raw or loop.plant
+    raw = loop.measured
     recipe = recipe_of(raw)
     return {
         "name": name,
@@ -282,7 +282,7 @@ def _low_end(loop: Loop) -> dict[str, Any]:
         "below": [packed(model.response(below_hz)) for model in models],
         "extrapolated": [_extrapolated(float(loop.frequency_hz[0]) * low_end.BELOW_RATIOS, model) for model in models],
         "simple": any(low_end.is_simple(model) for model in models),
-        "order": [*low_end.low_order(loop.raw or loop.plant), low_end.room_of(loop.raw or loop.plant)],
+        "order": [*low_end.low_order(loop.measured), low_end.room_of(loop.measured)],
         "gaps": [_gap(gap) for gap in holes.gaps_of(loop)],
     }
 

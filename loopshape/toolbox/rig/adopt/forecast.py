@@ -72,7 +72,7 @@ def foresee(P: FRF, controller: Controller, R: Requirements, share: float) -> Fo
     """
     (loop,), notes = loops_of([P], controller, R)
     stability = closed_loop_stability(loop)
-    plant = loop.plant if loop.raw is None else loop.raw
+    plant = loop.measured
     S = replace(feedback(plant, controller).S_o, recorded_under=controller, loop=P.loop)
     size, spread = np.abs(S.siso), np.sqrt(S.variance[:, 0, 0])
     peak, most = float(db(size.max())), float(db((size + 1.96 * spread).max()))

@@ -204,7 +204,7 @@ class _Part:
 
 def _answers(periods: Periods, loop: Loop) -> tuple[tuple[Array, float], tuple[Array, float]]:
     """What error and control answer to the excitation (n,), and how far their rms may be off, relative, in 95 %."""
-    plant = loop.plant if loop.raw is None else loop.raw
+    plant = loop.measured
     f = periods.frequency_hz
     P = np.interp(f, plant.frequency_hz, plant.siso.real) + 1j * np.interp(f, plant.frequency_hz, plant.siso.imag)
     std = np.interp(f, plant.frequency_hz, plant.relative_std[:, 0, 0])
@@ -229,7 +229,7 @@ def _answers(periods: Periods, loop: Loop) -> tuple[tuple[Array, float], tuple[A
 
 def _low_ratio(periods: Periods, under: Controller, loop: Loop) -> float:
     """|S of the next controller over S of the last| at the lowest line: how a mean error follows; 1 at most of it."""
-    plant = loop.plant if loop.raw is None else loop.raw
+    plant = loop.measured
     f = plant.frequency_hz[:1]
     old, new = (1.0 + one.response(f) * plant.siso[:1] for one in (under, loop.controller))
     return float(max(np.abs(old / new)[0], 1.0))

@@ -248,7 +248,7 @@ def test_of_many_points_those_that_do_not_bind_are_read_twice_at_most() -> None:
         chosen = list(range(24) if points is None else points)
         read[chosen] += 1
         named = {plants[k].recording: replace(loops[k], controllers=controller) for k in chosen}
-        return verdict_on(named, limits, detuned=False)
+        return verdict_on(named, limits, detuned=False)[0]
 
     begun = initial_point(p, np.log([11.0, 2.2, 18.0, 4.5, 0.05, 5.0, 19.0, 0.55]))
     found = tighten_limits(p, search(p, begun, LARGEST, 300), judge)

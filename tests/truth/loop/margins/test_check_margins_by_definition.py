@@ -8,7 +8,7 @@ from bench_nouns import Block, Loop, TransferFunction
 from conversions import TWO_PI, from_db, rad
 
 import loopshape as ls
-from loopshape.loop.margin.margins import margins
+from loopshape.loop.margin.margins import Reader, margins
 
 RATE = 1000.0
 F = np.geomspace(0.02, 400.0, 6000)
@@ -228,7 +228,7 @@ def test_three_crossings_are_seen_and_the_worst_phase_counts():
 def test_control_peaks_count_the_controller_above_the_last_line():
     loop = loop_of("double integrator with a lead")
     low = Loop(loop.plant.between(0.02, 40.0), loop.controller, 2, unstable_poles=0)
-    found = margins(low, high_frequency_from_hz=200.0)
+    found = margins(low, Reader(200.0))
     # above 40 Hz |L| stays below l = 0.011, so |CS| below |C|/(1 - l); |C| climbs to 30 at half the rate, and
     # margins look up to 0.45 of the rate
     top = np.abs(loop.controller.response([450.0]))[0] / (1.0 - np.abs(low.L[-1]))
