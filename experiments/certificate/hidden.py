@@ -9,7 +9,7 @@ from loops import LINEAR, LOGARITHMIC, between
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.data.response.model import TransferFunction
-from loopshape.loop.stability.sampling import hidden_poles
+from loopshape.loop.stability.sampling import between_lines
 
 RECORDS = 1000
 WIDTHS, TAILS = (0.03, 0.1, 0.3, 1.0), (2.0, 4.0, 6.0, 8.0, 12.0, 20.0)
@@ -40,7 +40,7 @@ def alarms() -> Iterator[list]:
                 P = smooth(rng, f)
                 variance = (noise * np.abs(P)) ** 2
                 noisy = P + np.sqrt(variance) * errors(rng, f.size, overlap)
-                count += bool(hidden_poles(f, noisy, variance))
+                count += bool(between_lines(f, noisy, variance).poles)
             yield [name, noise, overlap, RECORDS, count]
 
 
@@ -59,7 +59,8 @@ def detection() -> Iterator[list]:
                     r = tail * size * 0.5 * gap * np.exp(1j * rng.uniform(0.0, TWO_PI))
                     variance = (noise * np.abs(P)) ** 2
                     noisy = P + r / (1j * (f - centre) + w) + np.sqrt(variance) * errors(rng, f.size, 1)
-                    near = [x for x in hidden_poles(f, noisy, variance) if x.low_hz - gap < centre < x.high_hz + gap]
+                    found = between_lines(f, noisy, variance).poles
+                    near = [x for x in found if x.low_hz - gap < centre < x.high_hz + gap]
                     count += bool(near)
                     held += bool(near) and near[0].peak >= 0.99 * abs(r) / w
                 yield [noise, width, tail, RECORDS // 5, count, held]

@@ -17,7 +17,7 @@ from hidden import alarms, detection  # noqa: E402
 from loops import KINDS, SPOILED, STEPS, Case, case, checked, loop, measured, peer, spoiled  # noqa: E402
 
 from loopshape.data.response.frf import FRF  # noqa: E402
-from loopshape.loop.stability.sampling import visible_residue  # noqa: E402
+from loopshape.loop.stability.sampling import between_lines  # noqa: E402
 from loopshape.loop.stability.stability import Stability, closed_loop_stability  # noqa: E402
 
 LOOPS = 400
@@ -79,7 +79,7 @@ def seen(drawn: Case, frf: FRF) -> bool:
     f = frf.frequency_hz
     if not f[1] < f_hz < f[-2]:
         return True
-    visible = visible_residue(f, frf.siso, frf.variance[:, 0, 0])
+    visible = between_lines(f, frf.siso, frf.variance[:, 0, 0]).visible_residue
     return bool(residue > visible[int(np.searchsorted(f, f_hz)) - 1])
 
 

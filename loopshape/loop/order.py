@@ -31,7 +31,7 @@ MOST = 400.0
 #: a band goes on by this factor beside a frequency at which a limit is read, and by the second above the last line
 ABOUT, HIGHER = 2.0**0.5, 1.2
 #: highest frequency of an order, as a share of the rate
-HIGHEST = 0.45
+OF_RATE = 0.45
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ def _orders(margins: Margins, loop: Loop, frf: FRF, requirements: Requirements) 
     wanted += [one for x, v in limits for one in _for_limit(loop, margins, x, v)]
     rate_hz = loop.controller.rate_hz
     band = requirements.band_hz or (0.0, np.inf)
-    bands = [(max(w.low_hz, band[0]), min(w.high_hz, band[1], HIGHEST * rate_hz), w) for w in wanted]
+    bands = [(max(w.low_hz, band[0]), min(w.high_hz, band[1], OF_RATE * rate_hz), w) for w in wanted]
     measured = [_measured(name, frf, replace(w, low_hz=low, high_hz=high)) for low, high, w in bands if low < high]
     if measured:
         return _merged(measured)
-    outside = any(w.low_hz < HIGHEST * rate_hz for w in wanted)  # and yet beside the band that is to be used
+    outside = any(w.low_hz < OF_RATE * rate_hz for w in wanted)  # and yet beside the band that is to be used
     return [Order(name, SettledBy.DECLARATION if outside else SettledBy.NOTHING)]
 
 
@@ -128,12 +128,9 @@ def _for_limit(loop: Loop, margins: Margins, limit: Limit, required: float) -> I
 def _drowned(loop: Loop) -> _Wanted:
     """Where errors are as large as L itself, which is not small."""
     path = path_of(loop)
-    f, here = path.f, path.f[(np.abs(path.L) > TOL.drowned_gain) & (path.std > TOL.drowned_std * np.abs(path.L))]
-    return (
-        _Wanted(float(here[0]), float(here[-1]), MOST, FINER)
-        if here.size
-        else _Wanted(float(f[0]), float(f[-1]), MOST, FINER)
-    )
+    here = path.f[(np.abs(path.L) > TOL.drowned_gain) & (path.std > TOL.drowned_std * np.abs(path.L))]
+    here = here if here.size else path.f
+    return _Wanted(float(here[0]), float(here[-1]), MOST, FINER)
 
 
 def _measured(name: str, frf: FRF, wanted: _Wanted) -> Order:

@@ -22,7 +22,7 @@ from loopshape.design.problem.evaluation import Evaluation
 from loopshape.design.problem.problem import Opened, Problem
 from loopshape.design.problem.rows import LEAST, DenseRows, Tighten, required
 from loopshape.loop.loop import Loop
-from loopshape.loop.margin.disturbed import change, crossings_a_sample, largest
+from loopshape.loop.margin.disturbed import change, crossings_a_sample, largest, lines_of
 from loopshape.loop.margin.saturated import Actuator
 from loopshape.loop.stability.continued import continued
 
@@ -44,8 +44,7 @@ def opened(loop: Loop, disturbance: Disturbance | None, requirements: Requiremen
             f"{', '.join(peaks)} of loop {requirements.loop!r} belongs to a record of some length", "a spectrum alone",
             "give duration_s with it, or a recording",
         )  # fmt: skip
-    rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
-    f, power = disturbance.frequency_hz[rows], disturbance.power[rows]
+    f, power, _ = lines_of(disturbance, rate_hz)
     if disturbance.recorded_under is not None:
         P = continued(loop.measured, f, loop.integrators or 0).response
         power = power * np.abs(1.0 + disturbance.recorded_under.response(f) * P) ** 2

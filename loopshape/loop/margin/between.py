@@ -169,31 +169,22 @@ def _steps(path: ComplexArray) -> Array:
         return np.asarray(np.nan_to_num(np.angle(path[..., 1:] / path[..., :-1])))
 
 
-def unit_crossings(f: Array, L: ComplexArray) -> tuple[Array, ComplexArray]:
-    """Frequencies in Hz and values of L where |L| = 1; between lines ln L is taken as linear in ln f."""
+def unit_crossings(f: Array, L: ComplexArray) -> Array:
+    """Frequencies in Hz where |L| = 1; between lines ln |L| is taken as linear in ln f."""
     size = np.log(np.abs(L))
     k = np.flatnonzero(size[:-1] * size[1:] < 0.0)
-    share = size[k] / (size[k] - size[k + 1])
-    turn = np.angle(L[k + 1] / L[k])
-    at = f[k] * (f[k + 1] / f[k]) ** share
-    exact = np.flatnonzero(size == 0.0)
-    f_all = np.concatenate([at, f[exact]])
-    values = np.concatenate([np.exp(1j * (np.angle(L[k]) + share * turn)), L[exact]])
-    order = np.argsort(f_all)
-    return f_all[order], values[order]
+    at = f[k] * (f[k + 1] / f[k]) ** (size[k] / (size[k] - size[k + 1]))
+    return np.sort(np.concatenate([at, f[size == 0.0]]))
 
 
-def axis_crossings(f: Array, L: ComplexArray) -> tuple[Array, Array]:
-    """Frequencies in Hz and values (negative reals) where L crosses the negative real axis, along chords."""
+def axis_crossings(f: Array, L: ComplexArray) -> Array:
+    """Frequencies in Hz where L crosses the negative real axis, along chords."""
     k = np.flatnonzero(L.imag[:-1] * L.imag[1:] < 0.0)
     share = L.imag[k] / (L.imag[k] - L.imag[k + 1])
     value = L.real[k] + share * (L.real[k + 1] - L.real[k])
     at = f[k] + share * (f[k + 1] - f[k])
     exact = np.flatnonzero(L.imag == 0.0)
-    at, value = np.concatenate([at, f[exact]]), np.concatenate([value, L.real[exact]])
-    order = np.argsort(at)
-    negative = value[order] < 0.0
-    return at[order][negative], value[order][negative]
+    return np.sort(np.concatenate([at, f[exact]])[np.concatenate([value, L.real[exact]]) < 0.0])
 
 
 def chords_to_minus_one(L: ComplexArray) -> tuple[Array, Array]:

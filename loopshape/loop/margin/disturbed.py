@@ -139,7 +139,7 @@ def carried(loop: Loop, disturbance: Disturbance) -> Carried:
         return disturbance.carried
     rate_hz = loop.controller.rate_hz
     refuse_other_rate(disturbance, loop.plant.loop, rate_hz)
-    f, power, scatter = _lines_of(disturbance, rate_hz)
+    f, power, scatter = lines_of(disturbance, rate_hz)
     plant, before = loop.measured, np.sqrt(power).astype(complex)
     there = continued(plant, f, loop.integrators or 0)
     C0, C1, P = _old(disturbance, f), loop.controller.response(f), there.response
@@ -154,7 +154,7 @@ def carried(loop: Loop, disturbance: Disturbance) -> Carried:
     )  # fmt: skip
 
 
-def _lines_of(disturbance: Disturbance, rate_hz: float) -> list[Array]:
+def lines_of(disturbance: Disturbance, rate_hz: float) -> list[Array]:
     """Frequencies above 0 Hz and below half the rate, the power there and its variance."""
     rows = (disturbance.frequency_hz > 0.0) & (disturbance.frequency_hz < 0.5 * rate_hz)
     return [x[rows] for x in (disturbance.frequency_hz, disturbance.power, disturbance.scatter)]
@@ -227,18 +227,10 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     return Disturbed(readings, found.outside(), unlike=unlike)
 
 
-class _Weights(NamedTuple):
+def _weights(carried: Carried, rate_hz: float) -> tuple[Array, Array, Array, Array]:
     """Squared magnitudes (nf,) from the error to itself, to the plant's input, to its rate, and to the rate of that."""
-
-    error: Array
-    control: Array
-    rate: Array
-    jerk: Array
-
-
-def _weights(carried: Carried, rate_hz: float) -> _Weights:
     control, faster = np.abs(carried.C1) ** 2, np.abs(change(carried.f, rate_hz)) ** 2
-    return _Weights(np.ones(control.size), control, control * faster, control * faster**2)
+    return np.ones(control.size), control, control * faster, control * faster**2
 
 
 def change(f: Array, rate_hz: float) -> ComplexArray:
@@ -334,7 +326,7 @@ def _at_random(loop: Loop, disturbance: Disturbance, samples: float) -> list[Rec
     n = int(min(samples, LONGEST) if samples > 0.0 else LONGEST) // 2 * 2
     f, rng = _lines(n, loop.controller.rate_hz), np.random.default_rng(0)
     edges = np.concatenate([[0.0], 0.5 * (f[1:] + f[:-1]), [0.5 * loop.controller.rate_hz]])
-    own_hz, power, _ = _lines_of(disturbance, loop.controller.rate_hz)
+    own_hz, power, _ = lines_of(disturbance, loop.controller.rate_hz)
     power = np.diff(np.interp(edges, np.append(0.0, own_hz), np.append(0.0, np.cumsum(power))))
     phases = np.exp(2j * np.pi * rng.random((RECORDS, f.size)))
     return [_through_time(loop, _old(disturbance, f), n * np.sqrt(0.5 * power) * one, n) for one in phases]

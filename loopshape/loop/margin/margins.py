@@ -395,7 +395,7 @@ def _places(at: Array, first_hz: float) -> dict[str, float]:
 
 def _crossings(j: _Judged, *, unit: bool) -> tuple[tuple[float, ...], tuple[Interval, ...]]:
     """All 0 dB crossings, or crossings of the negative real axis, with the 95 % interval of each frequency."""
-    f, _ = unit_crossings(j.f, j.L) if unit else axis_crossings(j.f, j.L)
+    f = unit_crossings(j.f, j.L) if unit else axis_crossings(j.f, j.L)
     if j.deviations is None:
         return tuple(f.tolist()), ()
     k = np.clip(np.searchsorted(j.f, f) - 1, 0, max(j.f.size - 2, 0))

@@ -24,7 +24,7 @@ from loopshape.loop.loop import Loop, characteristic_loci, responses, sensitivit
 from loopshape.loop.margin.between import Path, chords_to_minus_one
 from loopshape.loop.stability.low_end import lowest_count
 from loopshape.loop.stability.obstacles import ON_IT, Sampling, Undecided, doubt, sampling
-from loopshape.loop.stability.sampling import HiddenPole, hidden_poles
+from loopshape.loop.stability.sampling import HiddenPole, between_lines
 from loopshape.loop.stability.stability import Stability
 from loopshape.loop.tolerances import TOL
 
@@ -68,14 +68,10 @@ def closed_loops_stability(loops: Loop) -> Stability:
     if poles:
         plural = "pole" if poles == 1 else "poles"
         return Stability(ClosedLoop.UNSTABLE, poles, f"{poles} closed-loop {plural} in the right half plane")
-    return Stability(ClosedLoop.STABLE, 0, _why_stable(isinstance(counted, int)))
-
-
-def _why_stable(counted: bool) -> str:
-    """Which of the two counts says so."""
-    if counted:
-        return "the encirclements of 0 by det(I + L) balance the unstable poles"
-    return "from the loops that were recorded and stood to these, det(I + L) does not encircle 0"
+    reason = "the encirclements of 0 by det(I + L) balance the unstable poles"
+    if not isinstance(counted, int):
+        reason = "from the loops that were recorded and stood to these, det(I + L) does not encircle 0"
+    return Stability(ClosedLoop.STABLE, 0, reason)
 
 
 def encirclement_count(loops: Loop) -> int | Undecided:
@@ -190,7 +186,8 @@ def _sampling(loops: Loop, as_one: Loop, path: Path) -> Sampling:
     rest = loops.P if found is None else loops.P - found[1]
     for element, variance in zip(_elements(rest), _elements(loops.plant.variance), strict=True):
         if element.any():
-            poles += hidden_poles(f, element, np.maximum(variance, 1e-20 * np.max(np.abs(element)) ** 2), freedom)
+            known = np.maximum(variance, 1e-20 * np.max(np.abs(element)) ** 2)
+            poles += between_lines(f, element, known, freedom).poles
     same = 1e-9  # det(I + L) that differs by less from that of the recorded loops does not differ
     if not poles or np.abs(as_one.L).max() < same:
         return nothing

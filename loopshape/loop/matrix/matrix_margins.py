@@ -207,8 +207,7 @@ def _peak(name: str, P: ComplexArray, c: ComplexArray) -> _Peak:
 def _above_last(name: str, P: ComplexArray, c: ComplexArray) -> float:
     """What a gauge may reach above the last line, if L stays as small as it is there."""
     last = _size(name, broken_twice(P, c) if name == "input_output" else P * c[..., None, :])
-    room = max(1.0 - last, 1e-9)
-    return {"modulus": 1.0 / room, "S": 1.0 / room, "T": last / room}.get(name, 0.5 * (1.0 + last) / room)
+    return _reach(name, last, 1.0 - last)
 
 
 def _below_first(name: str, P: ComplexArray, c: ComplexArray) -> float:
@@ -217,8 +216,13 @@ def _below_first(name: str, P: ComplexArray, c: ComplexArray) -> float:
     first = 1.0 / max(_size(name, np.asarray(np.linalg.pinv(L), dtype=complex)), 1e-9)
     if first >= LARGE:
         return 0.0
-    room = max(first - 1.0, 1e-9)
-    return {"modulus": 1.0 / room, "S": 1.0 / room, "T": first / room}.get(name, 0.5 * (1.0 + first) / room)
+    return _reach(name, first, first - 1.0)
+
+
+def _reach(name: str, size: float, room: float) -> float:
+    """The largest of a gauge where L is of this size, and so far from 1."""
+    room = max(room, 1e-9)
+    return {"modulus": 1.0 / room, "S": 1.0 / room, "T": size / room}.get(name, 0.5 * (1.0 + size) / room)
 
 
 def _size(name: str, L: ComplexArray) -> float:

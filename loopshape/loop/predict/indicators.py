@@ -106,7 +106,7 @@ def _recorded(recording: Recording, loop: LoopSetup, y: Array, at: int, row: int
     before = float(y[:at][-max(1, round(END * at)) :].mean())
     raw = (y - before) / size
     width = _width(raw[at:])
-    rest, response = _moving_mean(raw[:at], width), _moving_mean(raw[at:], width)
+    rest, response = (np.asarray(uniform_filter1d(x, width, mode="nearest")) for x in (raw[:at], raw[at:]))
     calm = rest[-max(2, round(BEFORE * at)) :]
     floor = ROOM * float(np.abs(calm - calm.mean()).max())
     time_s = np.arange(response.size) / recording.rate_hz
@@ -140,10 +140,6 @@ def _width(raw: Array) -> int:
     return max(1, 2 * round(0.5 * SMOOTHED * rise) + 1)
 
 
-def _moving_mean(raw: Array, width: int) -> Array:
-    return np.asarray(uniform_filter1d(raw, width, mode="nearest"))
-
-
 def _notes(calm: Array, floor: float) -> tuple[str, ...]:
     half = max(calm.size // 2, 1)
     drift = abs(float(calm[:half].mean() - calm[half:].mean()))
@@ -173,13 +169,9 @@ def tracking(
     found = Tracking(float(np.abs(error).max()), float(np.sqrt(np.mean(error**2))))
     if step is None or step_time_s is None:
         return found
-    at = np.arange(r.size) / recording.rate_hz
-    answer = np.interp(at, step_time_s, step)
-    left = (r - r[0]) - _convolved(np.diff(r, prepend=r[0]), answer)
-    return Tracking(found.largest_error, found.rms_error, float(np.abs(left).max()), float(np.sqrt(np.mean(left**2))))
-
-
-def _convolved(increments: Array, answer: Array) -> Array:
     from scipy.signal import fftconvolve
 
-    return np.asarray(fftconvolve(increments, answer)[: increments.size])
+    at = np.arange(r.size) / recording.rate_hz
+    answer = fftconvolve(np.diff(r, prepend=r[0]), np.interp(at, step_time_s, step))[: r.size]
+    left = (r - r[0]) - answer
+    return Tracking(found.largest_error, found.rms_error, float(np.abs(left).max()), float(np.sqrt(np.mean(left**2))))

@@ -12,7 +12,7 @@ from loopshape.data.response.frf import FRF
 from loopshape.identify import tolerances as estimates
 from loopshape.identify.spectra.averages import pooled_variance
 from loopshape.loop.loop import Loop
-from loopshape.loop.stability.sampling import visible_residue
+from loopshape.loop.stability.sampling import between_lines
 from loopshape.loop.tolerances import TOL
 
 #: fewer lines than this say nothing of what lies between them
@@ -67,7 +67,7 @@ def _gaps(lines: FRF, beyond: FRF | None, unstable: bool) -> tuple[Gap, ...]:
     if not gaps.size:
         return ()
     freedom = max(lines.variance_freedom, estimates.TOL.decided_freedom)
-    residue = visible_residue(f, P, v, freedom, unstable=unstable).copy()
+    residue = between_lines(f, P, v, freedom, unstable=unstable).visible_residue.copy()
     residue[[0, -1]] = residue[[1, -2]]  # at the ends no pole is looked for
     return tuple(
         Gap(float(f[k]), float(f[k + 1]), complex(P[k]), complex(P[k + 1]), float(residue[k]), bool(missing[k]))

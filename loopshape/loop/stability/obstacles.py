@@ -29,7 +29,7 @@ from loopshape.loop.stability.mode_clusters import (
     cluster_of,
     interpolation_residual,
 )
-from loopshape.loop.stability.sampling import HiddenPole, hidden_poles, roughness, scattered, visible_residue
+from loopshape.loop.stability.sampling import BetweenLines, HiddenPole, between_lines
 from loopshape.loop.tolerances import TOL
 
 #: a band to measure goes on beyond the lines in question by this factor
@@ -150,10 +150,15 @@ def _spread(loop: Loop) -> tuple[Array, float]:
     return pooled_variance(lines), max(lines.variance_freedom, estimates.TOL.decided_freedom)
 
 
+def _between(loop: Loop) -> BetweenLines:
+    """What the measured lines of a loop's plant tell of what lies between them, whatever its controller."""
+    rest = without_narrow(loop)
+    return between_lines(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
+
+
 def hidden_in(loop: Loop) -> tuple[HiddenPole, ...]:
     """Resonances between the lines of a loop's plant, by their tails."""
-    rest = without_narrow(loop)
-    return hidden_poles(loop.frequency_hz, rest, *_spread(loop), unstable=may_be_oscillatory(loop))
+    return _between(loop).poles
 
 
 def _clusters(loop: Loop, path: Path) -> list[ModeCluster]:
@@ -188,8 +193,7 @@ def cluster_in(loop: Loop, band: ClusterBand) -> ModeCluster:
 
 def interpolation_residuals(loop: Loop) -> tuple[Array, np.ndarray]:
     """How far from its lines P may come in each gap (nf - 1,) that no one pole explains, and where lines scatter."""
-    seen, unstable = (loop.frequency_hz, without_narrow(loop), *_spread(loop)), may_be_oscillatory(loop)
-    return roughness(*seen, unstable=unstable), np.array(scattered(*seen, unstable=unstable))
+    return _between(loop).roughness, np.array(_between(loop).scattered)
 
 
 def _not_one(loop: Loop) -> np.ndarray:
@@ -212,7 +216,7 @@ def unseen_resonance(loop: Loop) -> tuple[float, float]:
     half a gap the lines meet its peak. Not reported of the first and the last gap; nan for fewer than ten lines.
     """
     f = loop.frequency_hz
-    residue = visible_residue(f, without_narrow(loop), *_spread(loop), unstable=may_be_oscillatory(loop))
+    residue = _between(loop).visible_residue
     if not np.isfinite(residue).any():
         return float("nan"), float("nan")
     g, C, middle = np.abs(1.0 + loop.L), np.abs(loop.C), 0.5 * (f[1:] + f[:-1])

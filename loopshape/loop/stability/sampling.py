@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtri
@@ -44,60 +45,45 @@ class HiddenPole:
     significance: float
 
 
-def hidden_poles(
+class BetweenLines(NamedTuple):
+    """What lines tell of what lies between them, gap by gap (nf - 1,); fewer than ten lines tell nothing.
+
+    `poles` have their tails on the lines. Not found are one whose tails lie below the noise, two within a few lines of
+    each other, and any in the first and the last gap. `visible_residue`, Hz times P, is the size from which a sharp
+    pole's residue amid a gap is found in 99.9 % of cases, infinite where no pole is looked for.
+
+    `roughness` is what is left of the lines about a gap, as |P|, where neither noise nor one pole explains it; else 0.
+    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told. Not where ten
+    lines span two octaves, as the lowest of an even grid do. `scattered` are rough gaps at which lines scatter all
+    along, more than their variance says: no resonance does that, but friction and play do, the same way in every
+    period.
+    """
+
+    poles: tuple[HiddenPole, ...]
+    visible_residue: Array
+    roughness: Array
+    scattered: np.ndarray
+
+
+def between_lines(
     f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False
-) -> tuple[HiddenPole, ...]:
-    """Poles between lines f (nf,) in Hz of a plant P (nf,) with errors of `variance` E|d|² (nf,).
+) -> BetweenLines:
+    """What lines f (nf,) in Hz of a plant P (nf,) with errors of `variance` E|d|² (nf,) tell.
 
     `freedom` is that of each variance; `unstable` says whether the plant may have poles in the right half plane. Errors
-    that neighbouring lines share do no harm; lines that were smoothed on purpose have lost tails: give raw ones. A pole
-    whose tails lie below the noise is not found (`visible_residue`), nor are two within a few lines of each other
-    (`roughness`), nor any in the first and the last gap; fewer than ten lines show none.
+    that neighbouring lines share do no harm; lines that were smoothed on purpose have lost tails: give raw ones.
     """
-    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[0]
-
-
-def visible_residue(
-    f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False
-) -> Array:
-    """Size (nf - 1,), Hz times P, from which a sharp pole's residue amid each gap is found in 99.9 % of cases.
-
-    Infinite in the first and the last gap, where no pole is looked for.
-    """
-    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[1]
-
-
-def roughness(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
-    """What is left of the lines about each gap (nf - 1,), as |P|, where neither noise nor one pole explains it; else 0.
-
-    Two resonances within a few lines leave it, or lines so coarse that nothing between them can be told. Not where
-    ten lines span two octaves, as the lowest of an even grid do.
-    """
-    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[2]
-
-
-def scattered(f: Array, P: ComplexArray, variance: Array, freedom: float = np.inf, *, unstable: bool = False) -> Array:
-    """At which rough gaps (nf - 1,) the lines scatter all along, more than their variance says: no resonance does that.
-
-    Friction and play scatter the lines of a periodic excitation so, the same way in every period.
-    """
-    return _remembered(*_bytes(f, P, variance), float(freedom), unstable)[3]
-
-
-def _bytes(*arrays: np.ndarray) -> tuple[bytes, bytes, bytes]:
-    f, P, variance = arrays
-    return f.tobytes(), np.asarray(P, dtype=complex).tobytes(), np.ascontiguousarray(variance).tobytes()
+    seen = f.tobytes(), np.asarray(P, dtype=complex).tobytes(), np.ascontiguousarray(variance).tobytes()
+    return _remembered(*seen, float(freedom), unstable)
 
 
 @lru_cache(maxsize=256)
-def _remembered(
-    f: bytes, P: bytes, variance: bytes, freedom: float, unstable: bool
-) -> tuple[tuple[HiddenPole, ...], Array, Array, np.ndarray]:
+def _remembered(f: bytes, P: bytes, variance: bytes, freedom: float, unstable: bool) -> BetweenLines:
     """All answers for a plant, which is asked about under many controllers."""
     lines = np.frombuffer(f)
     if lines.size < 2 * TOL.window_lines:
         none = np.zeros(max(lines.size - 1, 0))
-        return (), np.full(none.size, np.inf), none, none > 0.0
+        return BetweenLines((), np.full(none.size, np.inf), none, none > 0.0)
     windows = windows_of(lines, np.frombuffer(P, dtype=complex), np.frombuffer(variance))
     share = TOL.pole_by_chance / (TOL.tests_per_gap * windows.gap.size)
     freedom = min(freedom, 1e9)
@@ -112,7 +98,7 @@ def _remembered(
     scatter = _scattered(windows, misfit, residual)
     for made in (visible, residual, scatter):
         made.setflags(write=False)
-    return poles, visible, residual, scatter
+    return BetweenLines(poles, visible, residual, scatter)
 
 
 def _screen(windows: Windows) -> tuple[Array, Array, Array]:

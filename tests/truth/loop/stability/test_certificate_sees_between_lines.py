@@ -10,11 +10,16 @@ from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, loop_of, real, 
 
 from loopshape.loop.margin.between import path_of
 from loopshape.loop.stability.obstacles import obstacles, sampling
-from loopshape.loop.stability.sampling import hidden_poles, roughness
+from loopshape.loop.stability.sampling import between_lines
 from loopshape.loop.stability.stability import closed_loop_stability, count_unstable
 
 PLANT = PLANTS["one integrator"]
 GAP = 0.1
+
+
+def hidden_poles(f, P, variance):
+    return between_lines(f, P, variance).poles
+
 
 
 def mode_at(f_hz, width, peak):
@@ -183,13 +188,13 @@ def test_one_step_inside_and_outside_limits_that_lie_between_lines_the_answer_is
 def test_two_resonances_within_a_few_lines_are_not_taken_for_none():
     plant = with_mode(mode_at(14.22, 0.05, -30.0), 14.47, 0.002, -8.0 * abs(PLANT.response([14.2])[0]))
     P = plant.response(LINES)
-    rough = roughness(LINES, P, (1e-6 * np.abs(P)) ** 2)
+    rough = between_lines(LINES, P, (1e-6 * np.abs(P)) ** 2).roughness
     assert np.any(rough[(LINES[:-1] > 14.0) & (LINES[:-1] < 14.6)] > 0.02 * abs(PLANT.response([14.2])[0]))
     found = answer(plant, 1e-6)
     assert found.unstable_poles == by_roots(plant) == 4
     assert count_unstable(P, 1, 0, np.zeros(0)) != 4
     smooth = PLANT.response(LINES)
-    assert not roughness(LINES, smooth, (0.05 * np.abs(smooth)) ** 2).any()
+    assert not between_lines(LINES, smooth, (0.05 * np.abs(smooth)) ** 2).roughness.any()
 
 
 @pytest.mark.parametrize("peak", [-30.0, 4.0])
