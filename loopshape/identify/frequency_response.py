@@ -121,7 +121,7 @@ def _loop_frf(
     notes += why
     notes += inverse_note(recording, loop, f[valid], G[valid, 0, 0])
     notes += a.notes + band_note(f, valid)
-    notes += tuple(n for r in recordings for n in _early_note(r) + held_note(r, loop))
+    notes += tuple(n for r in recordings for n in early_note(r) + held_note(r, loop))
     return FRF(
         frequency_hz=f,
         response=G,
@@ -131,26 +131,34 @@ def _loop_frf(
         inputs=(s.input_channel.column,),
         outputs=(s.output_channel.column,),
         method=f"{settings.estimator} estimator, {a.method}",
-        method_numbers=a.method_numbers,
-        recording=joined([r.info.name for r in recordings]),
-        recordings=tuple(r.info.name for r in recordings),
         loop=loop.name,
-        rate_hz=recording.rate_hz,
-        operating_point=dict(info.operating_point),
         coherence=np.clip(ordinary_coherence(a.power, 0, 1), 0.0, 1.0),
         input_power=a.power[:, 1, 1].real,
         output_power=a.power[:, 0, 0].real,
         cross_power=a.power[:, 0, 1],
-        power_per=a.power_per,
-        line_overlap=a.line_overlap,
-        variance_freedom=a.freedom,
-        variance_pooled=a.pooled,
-        averages=a.averages,
-        parameters=dict(info.parameters),
         recorded_under=loop.controller if info.closed_loop else None,
         open_loop=stayed_bounded(recordings, [loop], [loop.output]),
         notes=tuple(dict.fromkeys(notes)),
+        **source(recordings, a),
     )
+
+
+def source(recordings: Sequence[Recording], a: Answers) -> dict[str, Any]:
+    """What an FRF says of the recordings that it was made of, and of how these answers were."""
+    info = recordings[0].info
+    return {
+        "recording": joined([r.info.name for r in recordings]),
+        "recordings": tuple(r.info.name for r in recordings),
+        "rate_hz": recordings[0].rate_hz,
+        "operating_point": dict(info.operating_point),
+        "parameters": dict(info.parameters),
+        "method_numbers": a.method_numbers,
+        "power_per": a.power_per,
+        "line_overlap": a.line_overlap,
+        "variance_freedom": a.freedom,
+        "variance_pooled": a.pooled,
+        "averages": a.averages,
+    }
 
 
 def _refuse_spectral(recording: Recording, settings: Settings) -> None:
@@ -241,7 +249,8 @@ def band_note(f: Array, valid: np.ndarray) -> tuple[str, ...]:
     return (f"no frequency between {f[0]:.3g} and {f[-1]:.3g} Hz is known to 10 %: excite more or measure longer",)
 
 
-def _early_note(recording: Recording) -> tuple[str, ...]:
+def early_note(recording: Recording) -> tuple[str, ...]:
+    """A warning where the recording ended before it should have."""
     ended = recording.info.ended_early
     return () if ended is None else (f"the recording ended early: {ended}",)
 
@@ -275,7 +284,7 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
     a, f = every.select(sound), every.frequency_hz[sound]
     S = a.response[:, k, 0] if at_input else 1.0 - a.response[:, 0, 0]
     variance = a.covariance[:, k, k].real
-    z = a.response[:, 1, 0] - (1.0 if at_input else 0.0)
+    z, std = a.response[:, 1, 0] - (1.0 if at_input else 0.0), np.sqrt(a.covariance[:, 1, 1].real)
     column = s.output_channel.column
     return FRF(
         frequency_hz=f,
@@ -285,28 +294,11 @@ def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settin
         inputs=(column,),
         outputs=(column,),
         method=f"sensitivity from the injected signal, {a.method}",
-        method_numbers=a.method_numbers,
-        recording=info.name,
-        recordings=(info.name,),
         loop=loop.name,
-        rate_hz=recording.rate_hz,
-        operating_point=dict(info.operating_point),
         coherence=np.clip(ordinary_coherence(a.power, 0, 2), 0.0, 1.0),
-        power_per=a.power_per,
-        line_overlap=a.line_overlap,
-        variance_freedom=a.freedom,
-        variance_pooled=a.pooled,
-        averages=a.averages,
-        parameters=dict(info.parameters),
         recorded_under=loop.controller,
-        notes=tuple(
-            dict.fromkeys(
-                (
-                    *a.notes,
-                    *wiring_notes(recording, loop, f, z, a.response[:, 0, 0], np.sqrt(a.covariance[:, 1, 1].real)),
-                )
-            )
-        ),
+        notes=tuple(dict.fromkeys((*a.notes, *wiring_notes(recording, loop, f, z, a.response[:, 0, 0], std)))),
+        **source([recording], a),
     )
 
 

@@ -123,11 +123,6 @@ def _innovation_power(x: Array, y: Array) -> float:
     return float(np.mean(left**2))
 
 
-def plant_input(recording: Recording, loop: LoopSetup) -> Array:
-    """As `input_signal`, whole."""
-    return np.asarray(input_signal(recording, loop))
-
-
 def input_signal(recording: Recording, loop: LoopSetup) -> Signal:
     """What enters the plant (n,): z, plus the injected signal where it enters there."""
     if recording.info.injection == "plant_input" and loop.injected in recording.columns:

@@ -40,14 +40,20 @@ if TYPE_CHECKING:
     from loopshape.data.result.margins import Margins
     from loopshape.data.result.prediction import Step
 
-#: the highest lines are those from this share of the last frequency on
-HIGHEST = 0.6
 Values = TypeVar("Values", bound=np.ndarray)
 
 
 def above_hz(last_hz: float, rate_hz: float, count: int = 80) -> Array:
     """Logarithmic grid above a last line, up to 0.45 times the rate; none where the line lies beyond."""
     return np.geomspace(last_hz, 0.45 * rate_hz, count)[1:] if last_hz < 0.45 * rate_hz else np.zeros(0)
+
+
+def slope_at_end(f: Array, L: np.ndarray) -> float:
+    """How steeply |L| falls over the highest lines, 1 for 20 dB a decade; taken as 1 where fewer than three tell."""
+    tail = f >= 0.6 * f[-1]  # the highest lines
+    if np.count_nonzero(tail) < 3:
+        return 1.0
+    return float(-np.polyfit(np.log(f[tail]), np.log(np.maximum(np.abs(L[tail]), 1e-300)), 1)[0])
 
 
 def known_above(beyond: FRF) -> np.ndarray:
@@ -297,9 +303,7 @@ class Loop:
         above = self.above_hz > f[-1]
         if not above.any():
             return 0.0
-        tail = slice(int(np.searchsorted(f, HIGHEST * f[-1])), None)
-        slope = np.polyfit(np.log(f[tail]), np.log(np.maximum(P[tail], 1e-300)), 1)[0] if f[tail].size > 2 else -1.0
-        size = P[-1] * (self.above_hz[above] / f[-1]) ** min(float(slope), 0.0) * np.abs(self.C_above[above])
+        size = P[-1] * (self.above_hz[above] / f[-1]) ** min(-slope_at_end(f, P), 0.0) * np.abs(self.C_above[above])
         largest = float(size.max())
         return largest if largest > P[-1] * abs(self.controller.response(f[-1:])[0]) else 0.0
 

@@ -207,7 +207,7 @@ def _by_reflections(
     A: ComplexArray, stacked: ComplexArray, tops: list[int], wanted: slice | np.ndarray
 ) -> tuple[ComplexArray, ComplexArray, Array]:
     """`_solve` where columns nearly depend on each other."""
-    Q, triangle = _qr(A)
+    Q, triangle = np.linalg.qr(A)
     adjoint = Q.conj().transpose(0, 2, 1)
     try:
         weights = np.linalg.inv(triangle)[:, tops] @ adjoint
@@ -216,20 +216,3 @@ def _by_reflections(
     leverage = np.minimum((np.abs(Q) ** 2).sum(-1), 1.0 - 1e-9)
     own = leverage if isinstance(wanted, slice) else np.take_along_axis(leverage, wanted, axis=1)
     return weights, stacked - Q @ (adjoint @ stacked), own
-
-
-def _qr(A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """QR of (n, w, p) by two Cholesky factorisations, as exact as reflections where the first succeeds (Yamamoto,
-    Nakatsukasa, Yanagisawa, Fukaya, ETNA 44, 2015), and by reflections where it does not."""
-    size = np.sqrt(np.maximum(np.einsum("nwp,nwp->np", A, A.conj()).real, TINY))
-    try:
-        Q, first = _orthogonal(A / size[:, None])
-        Q, second = _orthogonal(Q)
-    except np.linalg.LinAlgError:
-        return np.linalg.qr(A)
-    return Q, np.asarray(second @ first * size[:, None], dtype=complex)
-
-
-def _orthogonal(A: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    upper = np.linalg.cholesky(A.conj().transpose(0, 2, 1) @ A).conj().transpose(0, 2, 1)
-    return np.asarray(A @ np.linalg.inv(upper)), np.asarray(upper)

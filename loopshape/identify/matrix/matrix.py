@@ -12,22 +12,22 @@ import numpy as np
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.response.frf import FRF, joined
+from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.answers import Answers, PlantEstimate, plant_of
-from loopshape.identify.frequency_response import band_note, drowned_note
+from loopshape.identify.frequency_response import band_note, drowned_note, early_note, source
 from loopshape.identify.quality.quality import stayed_bounded, unfed_notes
 from loopshape.identify.respond import respond
 from loopshape.identify.settings import BY_INSTRUMENT, Settings
 from loopshape.identify.signals import (
     held_note,
+    input_signal,
     instrument,
     output_channel,
-    plant_input,
     refuse_alike,
     refuse_sum,
     wiring_notes,
@@ -210,7 +210,7 @@ def _signals(recording: Recording, loops: Sequence[LoopSetup], outputs: Sequence
             refuse_sum(recording, loop)
     y = [recording.output(expression) for expression in outputs]
     free = recording.info.injection == "control" or not recording.info.closed_loop
-    return y if alone and free else y + [plant_input(recording, loop) for loop in loops]
+    return y if alone and free else y + [np.asarray(input_signal(recording, loop)) for loop in loops]
 
 
 def _instruments(recording: Recording, loops: Sequence[LoopSetup]) -> list[Array]:
@@ -222,8 +222,7 @@ def _instruments(recording: Recording, loops: Sequence[LoopSetup]) -> list[Array
 
 def _notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
     notes = tuple(note for loop in loops for note in held_note(recording, loop)) + unfed_notes(recording, loops)
-    early = recording.info.ended_early
-    return notes if early is None else (*notes, f"the recording ended early: {early}")
+    return notes + early_note(recording)
 
 
 def _left_closed(run: Run, loops: Sequence[LoopSetup]) -> tuple[str, ...]:
@@ -247,10 +246,10 @@ def _frf(
     plant: PlantEstimate,
     notes: tuple[str, ...],
 ) -> FRF:
-    f, info = parts[0].frequency_hz, recordings[0].info
+    f = parts[0].frequency_hz
     power = np.mean([p.power[:, : len(outputs) + len(loops), : len(outputs) + len(loops)] for p in parts], axis=0)
-    averages = float(sum(p.averages for p in parts))
-    multiple, partial = coherences(power, len(outputs), averages)
+    whole = replace(parts[0], averages=float(sum(p.averages for p in parts)), freedom=min(p.freedom for p in parts))
+    multiple, partial = coherences(power, len(outputs), whole.averages)
     relative = _relative_std(plant, np.real(np.einsum("fii->fi", power))[:, len(outputs) :])
     sound = plant.sound(np.arange(f.size))
     relative = np.where(sound, relative, np.inf)
@@ -268,22 +267,12 @@ def _frf(
         inputs=tuple(loop.control for loop in loops),
         outputs=tuple(_row(run, expression) for expression in outputs),
         method=f"P = S_P S_I^-1, {parts[0].method}",
-        method_numbers=parts[0].method_numbers,
-        recording=joined([r.info.name for r in recordings]),
-        recordings=tuple(r.info.name for r in recordings),
         loop="+".join(loop.name for loop in loops),
-        rate_hz=run.rate_hz,
-        operating_point=dict(info.operating_point),
-        parameters=dict(info.parameters),
         multiple_coherence=multiple,
         partial_coherence=partial,
-        averages=averages,
-        power_per=parts[0].power_per,
-        line_overlap=parts[0].line_overlap,
-        variance_freedom=min(p.freedom for p in parts),
-        variance_pooled=parts[0].pooled,
         notes=notes,
         open_loop=stayed_bounded(recordings, loops, outputs),
+        **source(recordings, whole),
     )
 
 

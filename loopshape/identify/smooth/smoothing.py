@@ -60,35 +60,30 @@ def smoothed(frf: FRF, band_hz: tuple[float, float] | None = None) -> tuple[FRF,
     if not v.any():
         return frf, Scatter(y, np.zeros((1, y.size), dtype=complex))
     f, terms = frf.frequency_hz, pole_terms(frf, v)
-    poles = sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
-    smoother = smoother_of(frf, y - poles, _floor(y, v))
-    errors = drawn_errors(np.random.default_rng(SEED), v, frf.line_overlap)
+    errors, poles = drawn_errors(np.random.default_rng(SEED), v, frf.line_overlap), _added(terms, f)
     moved = sum((term.deviations(f, errors) for term in terms), np.zeros(errors.shape, dtype=complex))
-    rest, strayed = np.asarray(smoother @ (y - poles)), np.asarray((smoother @ (errors - moved).T).T)
-    response, reference, deviations = rest + poles, np.asarray(smoother @ rest) + poles, strayed + moved
+    smooth = _smooth(frf, poles, errors - moved, v)
+    response, reference, deviations = smooth.response + poles, smooth.reference + poles, smooth.deviations + moved
     variance = np.mean(np.abs(deviations) ** 2, axis=0)
     made = replace(
         frf, response=response[:, None, None], covariance=variance[:, None, None] + 0j, noise_covariance=None
     )
-    dense = _dense(f, rest, reference - poles, strayed, terms, errors) if terms else None
+    dense = _dense(replace(smooth, reference=reference - poles), terms, errors) if terms else None
     narrow = np.array([(x.resonance.pole_hz, x.resonance.residue) for x in terms], dtype=complex).reshape(-1, 2)
     return made, Scatter(reference, deviations, dense, narrow[:, 0], narrow[:, 1])
 
 
-def _dense(
-    f: Array,
-    rest: ComplexArray,
-    again: ComplexArray,
-    strayed: ComplexArray,
-    terms: Sequence[PoleTerm],
-    errors: ComplexArray,
-) -> Dense:
+def _added(terms: Sequence[PoleTerm], f: Array) -> ComplexArray:
+    """What narrow resonances add to a response at f (n,) in Hz."""
+    return sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
+
+
+def _dense(smooth: Dense, terms: Sequence[PoleTerm], errors: ComplexArray) -> Dense:
     """Lines, and places between them over each narrow resonance: what is smooth by splines, resonances as they are."""
-    places = np.concatenate([term.places_hz for term in terms])
+    f, places = smooth.frequency_hz, np.concatenate([term.places_hz for term in terms])
     at = np.unique(np.concatenate([f, places[(places > f[0]) & (places < f[-1])]]))
-    poles = sum((term.resonance.response(at) for term in terms), np.zeros(at.size, dtype=complex))
+    poles, smooth = _added(terms, at), smooth.at(at)
     moved = sum((term.deviations(at, errors) for term in terms), np.zeros((len(errors), at.size), dtype=complex))
-    smooth = Dense(f, rest, again, strayed).at(at)
     return Dense(at, smooth.response + poles, smooth.reference + poles, smooth.deviations + moved)
 
 
@@ -111,9 +106,9 @@ def recipe_of(lines: FRF) -> Recipe:
     y, v = lines.siso, pooled_variance(lines)
     if not v.any():
         return Recipe(v, np.zeros(v.size, dtype=int), np.ones(1), ())
-    f, terms = lines.frequency_hz, pole_terms(lines, v)
-    poles = sum((term.resonance.response(f) for term in terms), np.zeros(f.size, dtype=complex))
-    return Recipe(v, _halves(lines, y - poles, _floor(y, v)), _taps(lines.line_overlap), terms)
+    terms = pole_terms(lines, v)
+    halves = _halves(lines, y - _added(terms, lines.frequency_hz), _floor(y, v))
+    return Recipe(v, halves, _taps(lines.line_overlap), terms)
 
 
 def _floor(y: ComplexArray, v: Array) -> Array:
@@ -209,8 +204,7 @@ def smoothed_matrix(frf: FRF) -> tuple[Dense, ComplexArray] | None:
 def _smooth(one: FRF, poles: ComplexArray, errors: ComplexArray, variance: Array) -> Dense:
     """An element without its poles (nf,), smoothed, with errors (draws, nf) of what is left."""
     rest = one.siso - poles
-    floor = np.maximum(variance, 1e-20 * np.abs(one.siso) ** 2 + 1e-300)
-    smoother = smoother_of(one, rest, floor)
+    smoother = smoother_of(one, rest, _floor(one.siso, variance))
     response = np.asarray(smoother @ rest)
     return Dense(one.frequency_hz, response, np.asarray(smoother @ response), np.asarray((smoother @ errors.T).T))
 

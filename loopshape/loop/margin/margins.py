@@ -18,11 +18,10 @@ from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requiremen
 from loopshape.data.requirement.weight import Weight, over
 from loopshape.data.response.smoothed import by_draw, spread
 from loopshape.data.result.margins import Margins, Reading
-from loopshape.loop.loop import Loop
+from loopshape.loop.loop import Loop, slope_at_end
 from loopshape.loop.margin.between import axis_crossings, interpolated, unit_crossings
 from loopshape.loop.stability.holes import gaps_of
 from loopshape.loop.stability.low_end import BELOW_RATIOS, LowModel, in_sight, is_large, low_models, poles_at_0
-from loopshape.loop.stability.obstacles import slope_at_end
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.loop.tolerances import TOL
 

@@ -8,11 +8,11 @@ about is not known.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from loopshape.core.kernels.loops.margins import LARGE
+from loopshape.core.remembered import remembered
 from loopshape.core.units import Array, ComplexArray, deg
 from loopshape.data.response.frf import FRF
 from loopshape.identify.spectra.averages import pooled_variance
@@ -76,7 +76,7 @@ def is_large(loop: Loop) -> bool:
     return abs(loop.L[0]) >= LARGE and poles_at_0(loop) >= 0 and slope_of(loop) > -TOL.integrators_agree
 
 
-@lru_cache(maxsize=256)
+@remembered
 def slope_of(loop: Loop) -> float:
     """-slope/20 dB a decade of L over the lowest lines of a loop."""
     lines = loop.measured
@@ -197,6 +197,7 @@ class LowModel:
         return np.asarray(_slopes(s, self.num, self.den) * (s**-self.integrators)[:, None])
 
 
+@remembered
 def _low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
     """Models that follow the lowest lines of a 1 x 1 FRF, the likeliest first; none where none tells P at s = 0.
 
@@ -205,15 +206,9 @@ def _low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
     """
     f = frf.frequency_hz
     count = int(np.clip(np.searchsorted(f, _FARTHEST * f[0], side="right"), min(_FEWEST, f.size), _MOST))
-    P, variance = frf.siso[:count], pooled_variance(frf)[:count]
-    return _remembered(f[:count].tobytes(), P.tobytes(), variance.tobytes(), integrators)
-
-
-@lru_cache(maxsize=512)
-def _remembered(f: bytes, P: bytes, variance: bytes, integrators: int) -> tuple[LowModel, ...]:
-    own, y = np.frombuffer(f), np.frombuffer(P, dtype=complex)
+    own, y = f[:count], frf.siso[:count]
     floor = 3e-4  # lines err by this share of |P| at least: what so small a model rounds off
-    std = np.sqrt(np.frombuffer(variance) + (floor * np.abs(y)) ** 2 + 1e-300)
+    std = np.sqrt(pooled_variance(frf)[:count] + (floor * np.abs(y)) ** 2 + 1e-300)
     if own.size < _FEWEST or np.median(std / np.abs(y)) > _KNOWN:
         return ()
     s = 1j * own / own[0]

@@ -11,7 +11,7 @@ from scipy.special import ndtr
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 from loopshape.identify import tolerances as estimates
 from loopshape.identify.spectra.averages import pooled_variance
-from loopshape.loop.loop import HIGHEST, Loop
+from loopshape.loop.loop import Loop, slope_at_end
 from loopshape.loop.margin.between import (
     Path,
     chords_to_minus_one,
@@ -258,14 +258,6 @@ def _rises_above(loop: Loop) -> Undecided | None:
     last = float(loop.frequency_hz[-1])
     reason = f"the controller rises above the last line, {last:.3g} Hz: |L| may reach {loop.rise_above:.2g} there"
     return Undecided(f"{reason}; measure higher", (last, float(loop.above_hz[-1])))
-
-
-def slope_at_end(f: Array, L: ComplexArray) -> float:
-    """How steeply |L| falls over the highest lines, 1 for 20 dB a decade; taken as 1 where fewer than three tell."""
-    tail = slice(int(np.searchsorted(f, HIGHEST * f[-1])), None)
-    if f[tail].size < 3:
-        return 1.0
-    return float(-np.polyfit(np.log(f[tail]), np.log(np.maximum(np.abs(L[tail]), 1e-300)), 1)[0])
 
 
 def comes_up_again(loop: Loop) -> Undecided | None:
