@@ -17,42 +17,23 @@ DEG_PER_RAD = 180.0 / np.pi
 Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-#: unit a user may name -> (suffix of the stored column, factor to the stored unit)
-UNITS: dict[str, tuple[str, float]] = {
-    "s": ("s", 1.0),
-    "ms": ("s", 1e-3),
-    "us": ("s", 1e-6),
-    "ns": ("s", 1e-9),
-    "rad": ("rad", 1.0),
-    "mrad": ("rad", 1e-3),
-    "deg": ("rad", 1.0 / DEG_PER_RAD),
-    "rev": ("rad", TWO_PI),
-    "rad/s": ("rad_s", 1.0),
-    "deg/s": ("rad_s", 1.0 / DEG_PER_RAD),
-    "rpm": ("rad_s", TWO_PI / 60.0),
-    "bar": ("bar", 1.0),
-    "mbar": ("bar", 1e-3),
-    "Pa": ("bar", 1e-5),
-    "kPa": ("bar", 1e-2),
-    "MPa": ("bar", 10.0),
-    "psi": ("bar", 0.0689475729),
-    "V": ("v", 1.0),
-    "mV": ("v", 1e-3),
-    "A": ("a", 1.0),
-    "mA": ("a", 1e-3),
-    "N": ("n", 1.0),
-    "kN": ("n", 1e3),
-    "N m": ("nm", 1.0),
-    "Nm": ("nm", 1.0),
-    "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-    "nm": ("m", 1e-9),
-    "m/s": ("m_s", 1.0),
-    "m/s2": ("m_s2", 1.0),
-    "g": ("m_s2", 9.80665),
-    "1": ("1", 1.0),
+#: suffix of a stored column -> units that a user may name, with their factors to the stored one
+_BY_SUFFIX: dict[str, dict[str, float]] = {
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 1.0 / DEG_PER_RAD, "rev": TWO_PI},
+    "rad_s": {"rad/s": 1.0, "deg/s": 1.0 / DEG_PER_RAD, "rpm": TWO_PI / 60.0},
+    "bar": {"bar": 1.0, "mbar": 1e-3, "Pa": 1e-5, "kPa": 1e-2, "MPa": 10.0, "psi": 0.0689475729},
+    "v": {"V": 1.0, "mV": 1e-3},
+    "a": {"A": 1.0, "mA": 1e-3},
+    "n": {"N": 1.0, "kN": 1e3},
+    "nm": {"N m": 1.0, "Nm": 1.0},
+    "m": {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9},
+    "m_s": {"m/s": 1.0},
+    "m_s2": {"m/s2": 1.0, "g": 9.80665},
+    "1": {"1": 1.0},
 }
+#: unit a user may name -> (suffix of the stored column, factor to the stored unit)
+UNITS = {unit: (suffix, factor) for suffix, units in _BY_SUFFIX.items() for unit, factor in units.items()}
 
 #: suffix of a stored column -> how the unit is written on an axis
 SUFFIXES: dict[str, str] = {

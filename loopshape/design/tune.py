@@ -311,12 +311,8 @@ def warm_start(p: Problem, controller: Controller) -> tuple[Array, tuple[str, ..
         )
     mine = _in_order(p.templates, controller.blocks)
     notes = [note for template, block in zip(p.templates, mine, strict=True) for note in _moved(template, block)]
-    x = np.log([min(max(_value(mine[v.block], v.name), v.low), v.high) for v in p.variables])
+    x = np.log([min(max(mine[v.block].parameters[v.name], v.low), v.high) for v in p.variables])
     return x, tuple(notes)
-
-
-def _value(block: Block, name: str) -> float:
-    return block.parameters[name]
 
 
 def _kinds(blocks: tuple[Block, ...] | tuple[BlockTemplate, ...]) -> dict[str, int]:

@@ -76,9 +76,8 @@ def fit(
             f"too few frequencies to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
         )
     if isinstance(structure, Rational):
-        structure = replace(
-            _centred(structure, f), stable=(structure.stable or frf.open_loop) if stable is None else stable
-        )
+        stable = (structure.stable or frf.open_loop) if stable is None else stable
+        structure = replace(structure, w0=TWO_PI * float(np.exp(np.mean(np.log(f)))), stable=stable)
     weight_variance = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
     low, high = structure.bounds()
     weights = [1.0 / np.sqrt(x) for x in ((variance,) if weighting == "variance" else (weight_variance, variance))]
@@ -117,14 +116,9 @@ def _smoothed(G: ComplexArray, half: int) -> ComplexArray:
     return np.asarray(np.exp(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1).mean(-1)))
 
 
-def _centred(structure: Rational, f: Array) -> Rational:
-    w0 = TWO_PI * float(np.exp(np.mean(np.log(f))))
-    return replace(structure, w0=w0)
-
-
 def _fit(structure: Structure, s: Solution, lines: FRF, digest: str) -> Fit:
     model = structure.model(s.x)
-    jacobian = _slopes(structure, s.x)
+    jacobian = _slopes(structure.meaning, s.x, 1e-3)
     covariance = jacobian @ s.covariance @ jacobian.T
     values, std = structure.meaning(s.x), np.sqrt(np.maximum(np.diag(covariance), 0.0))
     off = np.abs(lines.siso / model.response(lines.frequency_hz) - 1.0)
@@ -164,13 +158,15 @@ def _unit(unit: str, lines: FRF) -> str:
     return f"{output}/({given} {unit[2:]})"
 
 
-def _slopes(structure: Structure, x: Array) -> Array:
-    """d meaning/d x by central differences; the maps are smooth and cheap."""
-    columns = []
+def _slopes(of: Callable[[Array], Array], x: Array, least: float) -> Array:
+    """d of/d x by central differences, steps as for `least` at least; nan where the number of values changes there."""
+    size, columns = of(x).size, []
     for k in range(x.size):
         step = np.zeros(x.size)
-        step[k] = 1e-6 * max(abs(x[k]), 1e-3)
-        columns.append((structure.meaning(x + step) - structure.meaning(x - step)) / (2.0 * step[k]))
+        step[k] = 1e-6 * max(abs(x[k]), least)
+        ahead, behind = of(x + step), of(x - step)
+        same = ahead.size == behind.size == size
+        columns.append((ahead - behind) / (2.0 * step[k]) if same else np.full(size, np.nan))
     return np.array(columns).T
 
 
@@ -247,15 +243,7 @@ def modes(found: Fit) -> tuple[Estimate, ...]:
         den = np.concatenate([[1.0], values[zeros:], np.zeros(found.model.integrators())])
         return np.concatenate([_pairs(values[:zeros]), _pairs(den)])
 
-    values = features(x)
-    columns = []
-    for k in range(size):
-        step = np.zeros(size)
-        step[k] = 1e-6 * max(abs(x[k]), 1e-12)
-        ahead, behind = features(x + step), features(x - step)
-        same = ahead.size == behind.size == values.size  # else a pair meets on the real axis, and has no slope there
-        columns.append((ahead - behind) / (2.0 * step[k]) if same else np.full(values.size, np.nan))
-    slopes = np.array(columns).T
+    values, slopes = features(x), _slopes(features, x, 1e-12)  # a pair that meets on the real axis has no slope there
     std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, found.covariance[:size, :size], slopes), 0.0))
     count = _pairs(found.model.num).size // 2
     names = [f"zero{k + 1}" for k in range(count)] + [f"pole{k + 1}" for k in range(values.size // 2 - count)]

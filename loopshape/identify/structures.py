@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -44,25 +44,45 @@ class Structure(Protocol):
 
 
 @dataclass(frozen=True)
-class ThirdOrder:
-    """kappa/(s³ + 2 zeta w s² + w² s), with a delay if wanted (4.10); x = kappa, ln w, ln zeta, delay."""
+class _Named:
+    """A structure of few parameters, kappa first, with a delay behind them if wanted."""
 
     delay: bool = False
+    WORD: ClassVar[str]
+    #: name, unit and bounds of each parameter
+    OF: ClassVar[tuple[tuple[str, str, float, float], ...]]
+    DELAY: ClassVar = ("delay_s", "s", 0.0, MAX_DELAY_S)
 
     @property
     def name(self) -> str:
         """The structure's word."""
-        return "third_order_delay" if self.delay else "third_order"
+        return self.WORD + "_delay" * self.delay
+
+    @property
+    def _each(self) -> tuple[tuple[str, str, float, float], ...]:
+        return self.OF + (self.DELAY,) * self.delay
 
     @property
     def names(self) -> tuple[str, ...]:
         """Reported parameters."""
-        return ("kappa", "f_hz", "zeta") + (("delay_s",) if self.delay else ())
+        return tuple(name for name, *_ in self._each)
 
     @property
     def units(self) -> tuple[str, ...]:
         """Units beside them."""
-        return ("1/s3", "Hz", "1") + (("s",) if self.delay else ())
+        return tuple(unit for _, unit, *_ in self._each)
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Wide ones; the delay lies between 0 and 0.2 s."""
+        return np.array([low for *_, low, _ in self._each]), np.array([high for *_, high in self._each])
+
+
+@dataclass(frozen=True)
+class ThirdOrder(_Named):
+    """kappa/(s³ + 2 zeta w s² + w² s), with a delay if wanted (4.10); x = kappa, ln w, ln zeta, delay."""
+
+    WORD = "third_order"
+    OF = (("kappa", "1/s3", -np.inf, np.inf), ("f_hz", "Hz", -20.0, 20.0), ("zeta", "1", -12.0, 3.0))
 
     def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
         """The best of a grid over w and zeta, each with its own linear kappa."""
@@ -73,16 +93,7 @@ class ThirdOrder:
         kappa = (shape.conj() * (response * weight)).sum(-1).real / (np.abs(shape) ** 2).sum(-1)
         error = (np.abs(response * weight - kappa[..., None] * shape) ** 2).sum(-1)
         i, j = np.unravel_index(int(np.argmin(error)), error.shape)
-        x = [kappa[i, j], np.log(w[i]), np.log(zeta[j])]
-        return np.array([*x, 1e-3] if self.delay else x)
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Wide ones; the delay lies between 0 and 0.2 s."""
-        low, high = [-np.inf, -20.0, -12.0], [np.inf, 20.0, 3.0]
-        return (
-            np.array([*low, 0.0] if self.delay else low),
-            np.array([*high, MAX_DELAY_S] if self.delay else high),
-        )
+        return np.array([kappa[i, j], np.log(w[i]), np.log(zeta[j]), *[1e-3] * self.delay])
 
     def model(self, x: Array) -> TransferFunction:
         """Transfer function."""
@@ -96,37 +107,15 @@ class ThirdOrder:
 
 
 @dataclass(frozen=True)
-class Integrator:
+class Integrator(_Named):
     """kappa/s, with a delay if wanted; x = kappa, delay."""
 
-    delay: bool = False
-
-    @property
-    def name(self) -> str:
-        """The structure's word."""
-        return "integrator_delay" if self.delay else "integrator"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Reported parameters."""
-        return ("kappa", "delay_s") if self.delay else ("kappa",)
-
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units beside them."""
-        return ("1/s", "s") if self.delay else ("1/s",)
+    WORD = "integrator"
+    OF = (("kappa", "1/s", -np.inf, np.inf),)
 
     def start(self, f: Array, response: ComplexArray, weight: Array) -> Array:
         """Median of Re(G s)."""
-        kappa = np.median((response * 1j * angular(f)).real)
-        return np.array([kappa, 1e-3] if self.delay else [kappa])
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Wide ones; the delay lies between 0 and 0.2 s."""
-        return (
-            np.array([-np.inf, 0.0] if self.delay else [-np.inf]),
-            np.array([np.inf, MAX_DELAY_S] if self.delay else [np.inf]),
-        )
+        return np.array([np.median((response * 1j * angular(f)).real), *[1e-3] * self.delay])
 
     def model(self, x: Array) -> TransferFunction:
         """Transfer function."""

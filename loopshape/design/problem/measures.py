@@ -47,8 +47,14 @@ class Measures:
 
     @cached_property
     def rejection(self) -> Array:
-        """Mean ln 1/|S| over the objective's low lines (points,); zero where it asks for none."""
-        return rejection(self.evaluation)
+        """Mean ln 1/|S| over ln f up to the objective's frequency (points,); zero where it asks for no disturbance's.
+
+        S is the error with the loop over the error without it, wherever a disturbance enters, so that operating points
+        with large and small plants compare; |PS| would let the plant of largest gain speak for all. The mean is over
+        ln f and not over lines: it then hardly depends on how the lines are spaced.
+        """
+        e, p = self.evaluation, self.evaluation.p
+        return np.asarray(np.bincount(p.owner, weights=-e.ln_S * low_weights(p), minlength=p.points), dtype=float)
 
     @cached_property
     def rejection_slopes(self) -> Array:
@@ -129,24 +135,9 @@ def _slopes(e: Evaluation, rows: list[Rows]) -> Array:
     return e.p.row_slopes(e.values, i, a, j, b)
 
 
-def rejection(e: Evaluation) -> Array:
-    """Mean ln 1/|S| over ln f up to a frequency, (points,); zero where the objective asks for no disturbance's.
-
-    S is the error with the loop over the error without it, wherever a disturbance enters, so that operating points with
-    large and small plants compare; |PS| would let the plant of largest gain speak for all. The mean is over ln f and
-    not over lines: it then hardly depends on how the lines are spaced.
-    """
-    if e.p.requirements.objective.disturbance_below_hz is None:
-        return np.zeros(e.p.points)
-    return np.asarray(np.bincount(e.p.owner, weights=-e.ln_S * low_weights(e.p), minlength=e.p.points), dtype=float)
-
-
 def rejection_slopes(e: Evaluation) -> Array:
     """d rejection/d x (points, n): d ln 1/|S| = Re(T d ln C)."""
-    p = e.p
-    if p.requirements.objective.disturbance_below_hz is None:
-        return np.zeros((p.points, e.x.size))
-    weights = low_weights(p)
+    p, weights = e.p, low_weights(e.p)
     k = np.flatnonzero(weights)
     T = e.L[k] / (1.0 + e.L[k])
     each = np.real(weights[k] * T * p.slopes(e.values, p.line[k]))

@@ -228,8 +228,12 @@ def step_from_lines(sensitivity: FRF, *, draws: int = 200, seed: int = 0) -> Ste
     errors = _errors(sensitivity, draws, seed)
     every = [_step(lambda _, e=e: np.interp(at, f, T + e), grid) for e in errors]  # type: ignore[misc]
     low, high = np.quantile(every, [0.025, 0.975], axis=0)
+    seen = (
+        f"nothing slower than {0.5 / f[0]:.3g} s is seen (lowest frequency {f[0]:.3g} Hz), nothing above"
+        f" {f[-1]:.3g} Hz, where |T| = {abs(T[-1]):.2g}"
+    )
     read = with_intervals(indicators(grid.time_s, nominal), [indicators(grid.time_s, y) for y in every])
-    return Step(grid.time_s, nominal, low, high, read, "FRF", 0.0, _missing(f, T))
+    return Step(grid.time_s, nominal, low, high, read, "FRF", 0.0, (seen,))
 
 
 def _check_spacing(sensitivity: FRF) -> None:
@@ -244,13 +248,6 @@ def _check_spacing(sensitivity: FRF) -> None:
             f"up to {apart:.3g} Hz from {f[0]:.3g} Hz on, where straight lines deviate from T by {bend:.2g}",
             "measure with a finer resolution, or take the step from a fit",
         )
-
-
-def _missing(f: Array, T: ComplexArray) -> tuple[str, ...]:
-    return (
-        f"nothing slower than {0.5 / f[0]:.3g} s is seen (lowest frequency {f[0]:.3g} Hz), nothing above"
-        f" {f[-1]:.3g} Hz, where |T| = {abs(T[-1]):.2g}",
-    )
 
 
 def _errors(frf: FRF, draws: int, seed: int) -> ComplexArray:
