@@ -37,7 +37,7 @@ from loopshape.design.starts import leaps, random_starts
 from loopshape.design.tighten import TightenedSolution, Verifier, tighten_limits
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import points_of
-from loopshape.loop.margin.disturbed import disturbance_warnings, of_loop, of_points
+from loopshape.loop.margin.disturbed import disturbance_warnings, made_of, of_points
 from loopshape.loop.order import with_orders
 from loopshape.loop.verdict import check, verdict_from, with_warnings
 
@@ -86,9 +86,7 @@ class Task:
         loops = [replace(loop, controllers=(C,)) for loop in self.loops]
         named = dict(zip(points_of(self.frfs), loops, strict=True))
         found = verdict_from(best.verdict.margins, named, self.requirements)
-        of = {k: self.requirements.of(loop.plant.operating_point) for k, loop in named.items()}
-        known = of_points(named, self.disturbances)
-        made = {k: of_loop(named[k], found.margins[k], one, of[k]) for k, one in known.items()}
+        made = made_of(named, found.margins, self.requirements, of_points(named, self.disturbances))
         notes = disturbance_warnings(named, made, self.requirements)
         found = with_warnings(found, loops, self.requirements, (*self.notes, *notes))
         return with_orders(found, loops, self.frfs, self.requirements)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -302,7 +303,7 @@ def warm_start(p: Problem, controller: Controller) -> tuple[Array, tuple[str, ..
     kinds does not matter. Values outside bounds go to the bound, fixed and tied parameters to what the structure says.
     Refuses a controller with other kinds or numbers of blocks.
     """
-    have, want = _kinds(controller.blocks), _kinds(p.templates)
+    have, want = (Counter(block.kind for block in own) for own in (controller.blocks, p.templates))
     if have != want:
         raise WrongUseError(
             f"the controller to start from does not fit the structure of loop {p.requirements.loop!r}",
@@ -315,13 +316,8 @@ def warm_start(p: Problem, controller: Controller) -> tuple[Array, tuple[str, ..
     return x, tuple(notes)
 
 
-def _kinds(blocks: tuple[Block, ...] | tuple[BlockTemplate, ...]) -> dict[str, int]:
-    kinds = [block.kind for block in blocks]
-    return {kind: kinds.count(kind) for kind in sorted(set(kinds))}
-
-
-def _words(kinds: dict[str, int]) -> str:
-    return ", ".join(f"{count} {kind}" for kind, count in kinds.items()) or "no block"
+def _words(kinds: Counter[str]) -> str:
+    return ", ".join(f"{kinds[kind]} {kind}" for kind in sorted(kinds)) or "no block"
 
 
 def _in_order(templates: tuple[BlockTemplate, ...], blocks: tuple[Block, ...]) -> list[Block]:

@@ -51,7 +51,12 @@ def compare(before: Sequence[Verdict], now: Sequence[Verdict]) -> Comparison:
     mine, theirs = _parts(now), _parts(before)
     both = [loop for loop in mine if loop in theirs]
     lines = [x for loop in both for x in _lines(loop, theirs[loop], mine[loop])]
-    stabilities = [x for loop in both for x in _stabilities(loop, theirs[loop], mine[loop])]
+    stabilities = [
+        StabilityChange(loop, name, was.stable, m.stable, m.stability_reason)
+        for loop in both
+        for name, m in mine[loop].margins.items()
+        if (was := theirs[loop].margins.get(name)) is not None and was.stable != m.stable
+    ]
     pairs = [pair for loop in both for pair in _pairs(theirs[loop], mine[loop])]
     margins = _compared(pairs)
     moved = {change.loop for change in margins if change.outcome is not Change.UNCHANGED}
@@ -109,14 +114,6 @@ def _sentence_of(line: RequirementResult | None) -> tuple[str, float] | None:
     return None if line is None else (line.outcome, line.required)
 
 
-def _stabilities(loop: str, before: Verdict, now: Verdict) -> list[StabilityChange]:
-    return [
-        StabilityChange(loop, name, was.stable, m.stable, m.stability_reason)
-        for name, m in now.margins.items()
-        if (was := before.margins.get(name)) is not None and was.stable != m.stable
-    ]
-
-
 class _Pair:
     """One margin, then and now, with the reach of both intervals to either side of the change."""
 
@@ -145,14 +142,10 @@ def _pairs(before: Verdict, now: Verdict) -> list[_Pair]:
     return [
         _Pair(now.loop, name, limit, was, found, before.data.get(name) == now.data.get(name))
         for name, found in now.margins.items()
-        if (was := before.margins.get(name)) is not None and _comparable(was, found)
+        # margins mean room where the loop is stable: between a loop that is and one that is not nothing is compared
+        if (was := before.margins.get(name)) is not None and was.stable is found.stable is not ClosedLoop.UNSTABLE
         for limit in LIMIT_OF.values()
     ]
-
-
-def _comparable(was: Margins, found: Margins) -> bool:
-    """Margins mean room where the loop is stable: between a loop that is and one that is not nothing is compared."""
-    return was.stable is found.stable is not ClosedLoop.UNSTABLE
 
 
 def _compared(pairs: Sequence[_Pair]) -> list[MarginChange]:

@@ -27,7 +27,7 @@ from loopshape.loop.loops import Closed, closed_loops, equivalent_plants, loops_
 from loopshape.loop.margin.disturbed import (
     Disturbed,
     disturbance_warnings,
-    of_loop,
+    made_of,
     of_points,
 )
 from loopshape.loop.margin.margins import Reader, margins
@@ -297,9 +297,8 @@ def verdict_on(
 
     `disturbances`, by the same names, tell the rms of the error and what the actuator must do; what came of them too.
     """
-    asked = {name: requirements.of(loop.plant.operating_point) for name, loop in loops.items()}
-    found = {name: margins(loop, Reader.of(asked[name])) for name, loop in loops.items()}
-    made = {name: of_loop(loops[name], found[name], one, asked[name]) for name, one in (disturbances or {}).items()}
+    found = {k: margins(loop, Reader.of(requirements.of(loop.plant.operating_point))) for k, loop in loops.items()}
+    made = made_of(loops, found, requirements, disturbances or {})
     found |= {name: found[name].with_readings(**one.readings) for name, one in made.items()}
     return verdict_from(found, loops, requirements, detuned=detuned), made
 

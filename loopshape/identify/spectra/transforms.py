@@ -113,15 +113,11 @@ def _periods(recording: Recording, instrument: Array) -> tuple[int, int, int, tu
             f"{n / rate:g} s, periodic from {start / rate:g} s",
             "at least two are needed to separate noise from response",
         )
-    notes = () if length == stated else (_other_period(stated, length, rate),)
-    return length, start, periods, notes
-
-
-def _other_period(stated: int, found: int, rate_hz: float) -> str:
-    return (
-        f"the excitation repeats every {found} samples ({found / rate_hz:.9g} s), not every {stated} as stated: the"
+    note = (
+        f"the excitation repeats every {length} samples ({length / rate:.9g} s), not every {stated} as stated: the"
         " measured period was used; correct period_s"
     )
+    return length, start, periods, (note,) * (length != stated)
 
 
 def measured_period(instrument: Array, stated: int, within: int = 5) -> int:
@@ -234,8 +230,9 @@ LEAST_SAMPLES = 40
 def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, int, int]:
     """Length, step and number of segments; refuses a record with fewer than three averages."""
     rate = recording.rate_hz
-    required = rate / settings.resolution_hz if settings.resolution_hz else float(_default_length(n, rate))
-    required = float(settings.segment_samples or required)
+    # a tenth of the record, at most 20 s or 512 samples: averages for a variance, lines for resonances
+    own = min(n // 10, max(round(20.0 * rate), 512))
+    required = float(settings.segment_samples or (rate / settings.resolution_hz if settings.resolution_hz else own))
     length = round(min(required, 2.0 * n + 4.0))  # longer than the record is too long, however long
     step = max(1, round(length * (1.0 - settings.overlap)))
     if settings.segment_samples is not None:
@@ -256,11 +253,6 @@ def segments_of(recording: Recording, n: int, settings: Settings) -> tuple[int, 
             f"ask for {5.0 * rate / n:.2g} Hz or coarser, or record longer",
         )
     return length, step, segments
-
-
-def _default_length(n: int, rate_hz: float) -> int:
-    """A tenth of the record, at most 20 s or 512 samples: averages for a variance, lines for resonances."""
-    return min(n // 10, max(round(20.0 * rate_hz), 512))
 
 
 #: samples of a part: that many, or where this is more a share of the record, as each part passes over all lines

@@ -407,11 +407,18 @@ def _saturation(control: _Power, actuator: Actuator, changed: Sequence[Factors])
     return Reading(100.0 * value, (100.0 * low, 100.0 * min(high, 1.0)))
 
 
-def of_loop(loop: Loop, margins: Margins, disturbance: Disturbance, required: Requirements) -> Disturbed:
-    """What a disturbance makes of error and input of a loop with these margins; inf where it is unstable."""
-    if margins.stable is ClosedLoop.UNSTABLE:
-        return Disturbed(dict.fromkeys(DISTURBED, Reading(float("inf"))), 0.0)
-    return disturbed(loop, disturbance, required.control_range)
+def made_of(
+    loops: Mapping[str, Loop], found: Mapping[str, Margins], requirements: Requirements,
+    disturbances: Mapping[str, Disturbance],
+) -> dict[str, Disturbed]:  # fmt: skip
+    """What disturbances make of error and input of loops with these margins; inf where one is unstable."""
+    unstable = Disturbed(dict.fromkeys(DISTURBED, Reading(float("inf"))), 0.0)
+    return {
+        name: unstable
+        if found[name].stable is ClosedLoop.UNSTABLE
+        else disturbed(loops[name], one, requirements.of(loops[name].plant.operating_point).control_range)
+        for name, one in disturbances.items()
+    }
 
 
 def of_points(loops: Mapping[str, Loop], disturbances: Sequence[Disturbance]) -> dict[str, Disturbance]:

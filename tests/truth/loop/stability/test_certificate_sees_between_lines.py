@@ -21,7 +21,6 @@ def hidden_poles(f, P, variance):
     return between_lines(f, P, variance).poles
 
 
-
 def mode_at(f_hz, width, peak):
     """A mode `width` gaps wide, whose peak is `peak` times the plant's |P| there."""
     return with_mode(PLANT, f_hz, width * GAP / f_hz, peak * abs(PLANT.response([f_hz])[0]))
