@@ -67,7 +67,7 @@ def known_above(beyond: FRF) -> np.ndarray:
 
 def reach_above(beyond: FRF) -> Array:
     """Radius (n,) of the 95 % circles of lines above those used; their responses lie at the circles' far ends."""
-    return np.asarray(np.sqrt(-np.log(0.05) * beyond.variance[:, 0, 0]))
+    return np.asarray(np.sqrt(TOL.square_95 * beyond.variance[:, 0, 0]))
 
 
 def _kept(values: Values) -> Values:

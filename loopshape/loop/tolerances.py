@@ -19,8 +19,9 @@ class Tolerances(NamedTuple):
     deviation_draws: int = 50
     #: half a 95 % interval of a normal error
     normal_95: float = 1.96
-    #: radius of 95 % of a circular error, whose |d|² is exponential
-    radius_95: float = sqrt(-log(0.05))
+    #: |d|², which is exponential, and |d| of 95 % of a circular error, in its deviations
+    square_95: float = -log(0.05)
+    radius_95: float = sqrt(square_95)
     #: a count is not given where the chance that the lines' errors make it wrong is above this
     wrong_count: float = 0.005
     #: lines that scatter all along lie within so many of their deviations; one in 400 passes a point so far

@@ -25,6 +25,7 @@ from loopshape.design.structure import Variable
 from loopshape.loop.loop import Loop, above_hz
 from loopshape.loop.margin.between import between_lines
 from loopshape.loop.stability.low_end import low_hz, low_models
+from loopshape.loop.tolerances import TOL
 
 
 class Opened(NamedTuple):
@@ -266,8 +267,6 @@ class Problem:
         )
 
 
-#: of a circular error of E|d|² = 1, this share of |d|² is left out by its 95 % circle
-OUTSIDE = 0.05
 #: a limit in dB that nothing comes up to
 NONE_DB = 300.0
 #: where L is led below its first line, as shares of its frequency
@@ -389,7 +388,7 @@ def _radius(loop: Loop) -> Array:
     |d|² over an estimated variance follows an F distribution with 2 and that many degrees.
     """
     freedom = loop.plant.variance_freedom
-    square = -np.log(OUTSIDE)
+    square = TOL.square_95
     if np.isfinite(freedom):
         square = 0.5 * freedom * np.expm1(2.0 * square / freedom)
     return np.sqrt(square * loop.plant.variance[:, 0, 0])

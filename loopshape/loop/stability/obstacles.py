@@ -209,24 +209,6 @@ def _not_one(loop: Loop) -> np.ndarray:
     return residual
 
 
-def unseen_resonance(loop: Loop) -> tuple[float, float]:
-    """Damping below which a resonance between lines could encircle -1 and leave no trace, and where, in Hz.
-
-    Its peak |C r|/w must be |1 + L| at least, and its tails, r/(j (f - f0)), within the noise; where w is more than
-    half a gap the lines meet its peak. Not reported of the first and the last gap; nan for fewer than ten lines.
-    """
-    f = loop.frequency_hz
-    residue = _between(loop).visible_residue
-    if not np.isfinite(residue).any():
-        return float("nan"), float("nan")
-    g, C, middle = np.abs(1.0 + loop.L), np.abs(loop.C), 0.5 * (f[1:] + f[:-1])
-    with np.errstate(divide="ignore"):
-        width = np.maximum(C[1:], C[:-1]) * residue / np.minimum(g[1:], g[:-1])
-    damping = np.where(np.isfinite(residue), np.minimum(width, 0.5 * np.diff(f)), 0.0) / middle
-    k = int(np.argmax(damping))
-    return max(float(damping[k]), SHARPEST), float(middle[k])
-
-
 def obstacles(loop: Loop, path: Path, between: Sampling, before: complex) -> Iterator[Undecided]:
     """What keeps the lines from carrying a count; 1 + L comes from `before` to the first line."""
     return (x for x in _obstacles(loop, path, between, before) if x is not None)

@@ -35,7 +35,7 @@ from loopshape.loop.stability.low_end import (
     low_order,
     poles_at_0,
 )
-from loopshape.loop.stability.obstacles import Sampling, Undecided, obstacles, sampling, unseen_resonance
+from loopshape.loop.stability.obstacles import Sampling, Undecided, obstacles, sampling
 from loopshape.loop.tolerances import TOL
 
 UNKNOWN_POLES = (
@@ -52,17 +52,13 @@ LOWER = 0.1
 class Stability:
     """Whether the closed loop is stable, the number of unstable closed-loop poles counted, and why.
 
-    `band_hz` is the band to measure where it is undecided, None where measuring does not help. Where it is decided, a
-    resonance between lines with less damping than `unseen_damping` could, at `unseen_at_hz` first, change the count and
-    leave no trace on them.
+    `band_hz` is the band to measure where it is undecided, None where measuring does not help.
     """
 
     outcome: ClosedLoop
     unstable_poles: int | None
     reason: str
     band_hz: tuple[float, float] | None = None
-    unseen_damping: float = float("nan")
-    unseen_at_hz: float = float("nan")
 
 
 def closed_loop_stability(loop: Loop) -> Stability:
@@ -75,7 +71,7 @@ def closed_loop_stability(loop: Loop) -> Stability:
     Undecided where it does not, where L is below 1 at the first line or not yet at the last, where 1 + L
     turns or bends too far between lines, where a resonance that hides between them might encircle -1, where -1 lies
     within the FRF's own 95 % reach, or where its errors together make the count wrong with a chance above 0.5 %.
-    A resonance whose tails lie below the noise (`unseen_damping`), or one with less damping than 1e-4, is not seen.
+    A resonance whose tails lie below the noise, or one with less damping than 1e-4, is not seen.
     """
     cancelled = hidden_mode(loop)
     if cancelled:
@@ -98,11 +94,9 @@ def closed_loop_stability(loop: Loop) -> Stability:
         return _undecided(poles.reason, poles.band_hz)
     if poles < 0:
         return _undecided(f"{-poles} encirclements too many for {loop.unstable_poles} unstable poles")
-    unseen = unseen_resonance(loop)
     if poles:
-        reason = f"{poles} closed-loop poles in the right half plane"
-        return Stability(ClosedLoop.UNSTABLE, poles, reason, None, *unseen)
-    return Stability(ClosedLoop.STABLE, 0, "the encirclements of -1 balance the unstable poles", None, *unseen)
+        return Stability(ClosedLoop.UNSTABLE, poles, f"{poles} closed-loop poles in the right half plane")
+    return Stability(ClosedLoop.STABLE, 0, "the encirclements of -1 balance the unstable poles")
 
 
 def hidden_mode(loop: Loop) -> str:

@@ -74,6 +74,16 @@ def frf_of(f, P, std, rng=None):
     )  # fmt: skip
 
 
+def unseen_damping(loop, residue):
+    """Damping below which a resonance between lines, of a residue (nf - 1,) they do not show, could encircle -1.
+
+    Its peak |C r|/w must be |1 + L| at least; where w is more than half a gap the lines meet its peak.
+    """
+    f, g, C = loop.frequency_hz, np.abs(1.0 + loop.L), np.abs(loop.C)
+    width = np.maximum(C[1:], C[:-1]) * np.where(np.isfinite(residue), residue, 0.0) / np.minimum(g[1:], g[:-1])
+    return np.max(np.minimum(width, 0.5 * np.diff(f)) / (0.5 * (f[1:] + f[:-1])))
+
+
 def loop_of(plant, frf, gain=1.0, *, blocks=(), smooth=True):
     """The loop as a check makes it: smoothed over its lines, with these beside it."""
     controller = ls.Controller("axis", (Block("gain", {"gain": float(gain)}), *blocks), RATE)
