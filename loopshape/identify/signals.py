@@ -142,11 +142,6 @@ def has_instrument(recording: Recording, loop: LoopSetup) -> bool:
     return _instrument_column(recording, loop) in recording.columns
 
 
-def instrument(recording: Recording, loop: LoopSetup) -> Array:
-    """As `moved_signal`, whole."""
-    return np.asarray(moved_signal(recording, loop))
-
-
 def moved_signal(recording: Recording, loop: LoopSetup) -> Signal:
     """The signal (n,) that only we moved; refuses a closed loop without one."""
     name = _instrument_column(recording, loop)

@@ -17,7 +17,7 @@ from loopshape.core.units import Array
 from loopshape.data.signal.excitation_parts import zero_crossings
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
-from loopshape.identify.local.sweeps import by_sweep, fitted
+from loopshape.identify.local.sweeps import by_sweep
 from loopshape.identify.settings import Settings
 from loopshape.identify.spectra.transforms import FLOOR
 
@@ -52,11 +52,11 @@ def by_sweep_in_parts(
     """
     parts = parts_of(instrument, recording.rate_hz) if isinstance(instrument, LongSignal) else []
     if len(parts) < 2:
-        return by_sweep(recording, signals, instrument, outputs, settings)
+        return by_sweep(recording, signals, instrument, outputs, settings)[0]
     found, numbers = [], set[int]()
     for part in parts:
         short = replace(recording, rate_hz=recording.rate_hz / part.factor)
-        answers, nonlinear = fitted(
+        answers, nonlinear = by_sweep(
             short, [thinned(x, part) for x in signals], thinned(instrument, part), outputs, settings
         )
         f = answers.frequency_hz

@@ -37,21 +37,16 @@ DENSE = 150
 
 def by_sweep(
     recording: Recording, signals: Sequence[Signal], instrument: Signal, outputs: int, settings: Settings
-) -> Answers:
+) -> tuple[Answers, Harmonics]:
     """Answers of signals (n,), the first `outputs` of them plant outputs, to a sweep (n,), within the band it crosses.
+
+    And the harmonics that were taken out.
 
     Lines are the record's own, thinned out to `DENSE` a frequency or to the resolution asked for. Signals are read one
     after the other, and their lines above the band are left out. Refuses a record whose band holds fewer lines than the
     narrowest window. Misleads where the plant changes while the sweep passes:
     one direction alone cannot show it.
     """
-    return fitted(recording, signals, instrument, outputs, settings)[0]
-
-
-def fitted(
-    recording: Recording, signals: Sequence[Signal], instrument: Signal, outputs: int, settings: Settings
-) -> tuple[Answers, Harmonics]:
-    """As `by_sweep`, and the harmonics that were taken out."""
     n = fast_length(instrument.size)
     unit = recording.rate_hz / n
     low_hz, high_hz = swept_band(instrument, recording.rate_hz)

@@ -26,7 +26,7 @@ from loopshape.identify.settings import BY_INSTRUMENT, Settings
 from loopshape.identify.signals import (
     held_note,
     input_signal,
-    instrument,
+    moved_signal,
     output_channel,
     refuse_alike,
     refuse_sum,
@@ -144,7 +144,7 @@ def _answers(
     recording: Recording, loops: Sequence[LoopSetup], outputs: Sequence[str], alone: bool, settings: Settings
 ) -> Answers:
     """What all signals answer to the loops that one recording excites."""
-    sources = [instrument(recording, loop) for loop in loops if loop.name in recording.info.excited]
+    sources = [np.asarray(moved_signal(recording, loop)) for loop in loops if loop.name in recording.info.excited]
     return respond(recording, _signals(recording, loops, outputs, alone), sources, len(outputs), settings)
 
 
@@ -217,7 +217,7 @@ def _instruments(recording: Recording, loops: Sequence[LoopSetup]) -> list[Array
     """Each loop's instrument in a recording, zero where it does not excite that loop."""
     excited = recording.info.excited
     zero = np.zeros(recording.column(loops[0].control).size)
-    return [instrument(recording, loop) if loop.name in excited else zero for loop in loops]
+    return [np.asarray(moved_signal(recording, loop)) if loop.name in excited else zero for loop in loops]
 
 
 def _notes(recording: Recording, loops: Sequence[LoopSetup]) -> tuple[str, ...]:

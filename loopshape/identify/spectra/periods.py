@@ -62,6 +62,10 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
     if len(blocks) > 1:
         size = np.sqrt(np.mean([(np.abs(t.signals[m:]) ** 2).mean(axis=1) for t in spectra], axis=0).T)
         covariance, freedom, pooled = _between([b[0] for b in blocks], response, size, excited)
+    words = "; ".join(dict.fromkeys(t.method for t in spectra))
+    numbers = {"periods": float(spectra[0].signals.shape[1]), "period_s": 1.0 / float(f[1])}
+    if len(blocks) > 1:
+        words, numbers = f"{words}, {len(blocks)} realisations", numbers | {"realisations": float(len(blocks))}
     return Answers(
         frequency_hz=f,
         response=response,
@@ -73,8 +77,8 @@ def by_periods(parts: Sequence[Part], settings: Settings) -> Answers:
         line_overlap=1.0,
         freedom=freedom,
         pooled=pooled,
-        method=_words(spectra, len(blocks)),
-        method_numbers=_numbers(spectra, len(blocks)),
+        method=words,
+        method_numbers=numbers,
         noise=noise if len(blocks) > 1 else None,
         notes=tuple(dict.fromkeys(note for t in spectra for note in t.notes)),
     )
@@ -161,15 +165,3 @@ def _between(
 def _power(t: Transforms) -> ComplexArray:
     """Cross-powers (nf, s, s) of all signals, per line."""
     return np.asarray(np.einsum("akf,bkf->fab", t.signals, t.signals.conj()) * (t.density / t.signals.shape[1]))
-
-
-def _words(spectra: Sequence[Transforms], blocks: int) -> str:
-    """How it was measured: periods of each recording, and how many realisations."""
-    words = "; ".join(dict.fromkeys(t.method for t in spectra))
-    return f"{words}, {blocks} realisations" if blocks > 1 else words
-
-
-def _numbers(spectra: Sequence[Transforms], blocks: int) -> dict[str, float]:
-    """The numbers of these words."""
-    numbers = {"periods": float(spectra[0].signals.shape[1]), "period_s": 1.0 / float(spectra[0].frequency_hz[1])}
-    return numbers | {"realisations": float(blocks)} if blocks > 1 else numbers

@@ -22,7 +22,7 @@ from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.identify.signals import instrument
+from loopshape.identify.signals import moved_signal
 from loopshape.identify.smooth.resonances import Resonance, resonances
 from loopshape.identify.spectra.averages import pooled_variance
 from loopshape.toolbox.gap.tolerances import TOL
@@ -68,7 +68,7 @@ def at_level(run: Run, recording: Recording, frf: FRF) -> AtLevel:
 
 def level_of(recording: Recording, loop: LoopSetup) -> tuple[float, str]:
     """Rms of what was injected while anything was, and the suffix of its unit."""
-    injected = instrument(recording, loop)
+    injected = np.asarray(moved_signal(recording, loop))
     moving = np.flatnonzero(injected != injected[0])
     part = injected[moving[0] : moving[-1] + 1] if moving.size else injected
     opened = recording.info.injection == "control" or not recording.info.closed_loop

@@ -20,7 +20,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.settings import Settings
-from loopshape.identify.signals import instrument, loop_signals
+from loopshape.identify.signals import loop_signals, moved_signal
 from loopshape.identify.spectra.averages import against_instrument, line_covariance, smoothed
 from loopshape.identify.spectra.transforms import Transforms, transform
 from loopshape.identify.tolerances import TOL
@@ -74,7 +74,7 @@ def _along(run: Run, recording: Recording, path: Path) -> tuple[Recording, LoopS
         return recording, run.loop(path.loop)
     start, end = _column_name(path.start), _column_name(path.end)
     columns = {
-        "moved_1": instrument(recording, loop),
+        "moved_1": np.asarray(moved_signal(recording, loop)),
         start: _signal(recording, path.start),
         end: _signal(recording, path.end),
     }
