@@ -43,7 +43,9 @@ class Toolbox:
     function that takes its path and the folder of a run, and gives the noun: of it a block diagram is found. `parts`
     lead from a section's title to a function that takes the report of a run and gives its HTML, or None. A noun with
     a method `figure` is drawn by `loopshape.plot`. `looks` lead from a kind of remark to a function that takes a run,
-    its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them.
+    its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them. `pictures`
+    lead from the beginning of a file's name to a function that takes a loop's operating points, requirements (or None)
+    and verdict, and gives a figure: `check` and `figures` draw it where there are several points.
     From a plant's name in a study, `plants` lead to what makes the simulated rig, `boards` to that of the emulator,
     `effect_pages` to a function that draws what its effects do.
     """
@@ -57,6 +59,7 @@ class Toolbox:
     formats: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
     looks: Mapping[str, str] = field(default_factory=dict)
+    pictures: Mapping[str, str] = field(default_factory=dict)
     plants: Mapping[str, str] = field(default_factory=dict)
     boards: Mapping[str, str] = field(default_factory=dict)
     effect_pages: Mapping[str, str] = field(default_factory=dict)

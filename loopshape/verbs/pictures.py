@@ -132,12 +132,12 @@ def draw_loops(
     folder: Path, name: str, loops: Sequence[Loop], requirements: Requirements, verdict: Verdict | None
 ) -> list[str]:
     """Pictures of one loop at all operating points; with several a Bode page of the worst one too."""
+    from loopshape.core.toolboxes import found, function_at
     from loopshape.loop.points import worst_of
     from loopshape.view.plots.bode import bode_page
     from loopshape.view.plots.loops import loop_page, sensitivities
     from loopshape.view.plots.nichols import nichols
     from loopshape.view.style import figure_of
-    from loopshape.view.verdict.atlas import sensitivity_atlas
     from loopshape.view.verdict.verdicts import margins_map
 
     page = bode_page(loops[0], requirements, verdict=verdict) if len(loops) == 1 else None
@@ -147,7 +147,8 @@ def draw_loops(
         f"sensitivities_{name}": sensitivities(loops, requirements, verdict=verdict),
     }
     if len(loops) > 1:
-        made[f"atlas_{name}"] = sensitivity_atlas(loops, requirements, verdict=verdict)
+        drawn = {key: function_at(place) for key, place in found().all("pictures").items()}
+        made |= {f"{key}_{name}": draw(loops, requirements, verdict=verdict) for key, draw in drawn.items()}
         worst = loops[worst_of(loops, verdict).index]
         made[f"bode_{name}_{worst.plant.recording}"] = bode_page(worst, requirements, verdict=verdict)
     if verdict is not None and verdict.lines and len(loops) > 1:  # of one point the table says it all

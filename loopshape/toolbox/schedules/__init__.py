@@ -1,6 +1,6 @@
 """One robust controller against one for each operating point, and schedules out to a target.
 
-FRFs over operating points come in, a comparison and files go out.
+FRFs over operating points come in, a comparison, a picture of |S| over all points and files go out.
 """
 
 from __future__ import annotations
@@ -33,4 +33,5 @@ TOOLBOX = Toolbox(
         "read_gain_scheduled": "loopshape.verbs.files",
         "schedule": "loopshape.toolbox.limits.verbs",
     },
+    pictures={"atlas": "loopshape.toolbox.schedules.atlas:sensitivity_atlas"},
 )

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -27,8 +26,6 @@ MARKS: Mapping[str, dict[str, Any]] = {
     "undecided": {"marker": "D", "color": COLOURS[1], "markerfacecolor": "white", "markersize": 4.0},
     "failed": {"marker": "x", "color": LIMIT, "markersize": 5.0, "markeredgewidth": 1.5},
 }
-#: from much room to none, then missed by ever more; each darker than the one before, so that grey paper keeps the order
-_ROOM, _NEAR, _MISSED = ("#FFFFFF", "#B4D4EC"), ("#F6C37A", "#EFA94A"), ("#E8953A", "#B9410A", "#4A0F00")
 
 
 def mark_entries(outcomes: set[str]) -> list[Entry]:
@@ -39,42 +36,6 @@ def mark_entries(outcomes: set[str]) -> list[Entry]:
 def with_stability(outcome: Outcome, margins: Margins | None) -> Outcome:
     """A requirement's outcome at a point; where the loop is unstable or undecided, that."""
     return Outcome.worst([outcome] if margins is None else [outcome, margins.stable.outcome])
-
-
-def room_colours(steps: int) -> list[str]:
-    """Colours of `steps` rising steps with room left, from white."""
-    return _ramp(_ROOM, steps)
-
-
-def near_colours(steps: int) -> list[str]:
-    """Colours of `steps` rising steps with little room left."""
-    return _ramp(_NEAR, steps)
-
-
-def missed_colours(steps: int) -> list[str]:
-    """Colours of `steps` rising steps beyond a limit."""
-    return _ramp(_MISSED, steps)
-
-
-def _ramp(nodes: tuple[str, ...], steps: int) -> list[str]:
-    """`steps` colours evenly along some nodes."""
-    at = np.linspace(0.0, 1.0, len(nodes))
-    rgb = np.array([to_rgb(node) for node in nodes])
-    t = np.linspace(0.0, 1.0, steps) if steps > 1 else np.array([0.5])
-    mixed = np.stack([np.interp(t, at, rgb[:, k]) for k in range(3)], axis=1)
-    return [to_hex((r, g, b)) for r, g, b in mixed]
-
-
-def luminance(colour: str) -> float:
-    """Relative luminance in [0, 1] (ITU-R BT.709, of linearised sRGB): what grey paper keeps of a colour."""
-    rgb = np.array(to_rgb(colour))
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    return float(linear @ (0.2126, 0.7152, 0.0722))
-
-
-def ink_on(colour: str) -> str:
-    """Black or white, whichever reads on a colour."""
-    return "black" if luminance(colour) > 0.25 else "white"
 
 
 _WITHOUT_END: dict[str, Any] = {"marker": "^", "color": "0.3", "markerfacecolor": "white", "linestyle": "none"}

@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.colors import BoundaryNorm, ListedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
@@ -28,18 +28,12 @@ from loopshape.view.plots.curves import frequency_axis, shown_band_hz
 from loopshape.view.plots.nichols_guides import closest_db
 from loopshape.view.style import FULL_WIDTH_IN, head, styled
 from loopshape.view.verdict.loop_parts import needs_loops, number3, title_of, worst_text
-from loopshape.view.verdict.verdicts import (
-    MARKS,
-    ink_on,
-    mark_entries,
-    missed_colours,
-    near_colours,
-    room_colours,
-    with_stability,
-)
+from loopshape.view.verdict.verdicts import MARKS, mark_entries, with_stability
 
 #: levels of |S| in dB that part the colours; the limit takes the place of one near it
 LEVELS_DB = (-30.0, -20.0, -10.0, -6.0, -3.0, 0.0, 3.0, 6.0, 9.0, 12.0)
+#: from much room to none, then missed by ever more; each darker than the one before, so that grey paper keeps the order
+_ROOM, _NEAR, _MISSED = ("#FFFFFF", "#B4D4EC"), ("#F6C37A", "#EFA94A"), ("#E8953A", "#B9410A", "#4A0F00")
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,3 +319,39 @@ def _axes(ax: Axes, keys: tuple[str, str], xs: Sequence[float], ys: Sequence[flo
     ax.set_facecolor("0.93")
     ax.set_xlabel(quantity(keys[0]), fontsize=8.0)
     ax.set_ylabel(quantity(keys[1]), fontsize=8.0)
+
+
+def room_colours(steps: int) -> list[str]:
+    """Colours of `steps` rising steps with room left, from white."""
+    return _ramp(_ROOM, steps)
+
+
+def near_colours(steps: int) -> list[str]:
+    """Colours of `steps` rising steps with little room left."""
+    return _ramp(_NEAR, steps)
+
+
+def missed_colours(steps: int) -> list[str]:
+    """Colours of `steps` rising steps beyond a limit."""
+    return _ramp(_MISSED, steps)
+
+
+def _ramp(nodes: tuple[str, ...], steps: int) -> list[str]:
+    """`steps` colours evenly along some nodes."""
+    at = np.linspace(0.0, 1.0, len(nodes))
+    rgb = np.array([to_rgb(node) for node in nodes])
+    t = np.linspace(0.0, 1.0, steps) if steps > 1 else np.array([0.5])
+    mixed = np.stack([np.interp(t, at, rgb[:, k]) for k in range(3)], axis=1)
+    return [to_hex((r, g, b)) for r, g, b in mixed]
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance in [0, 1] (ITU-R BT.709, of linearised sRGB): what grey paper keeps of a colour."""
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
+
+
+def ink_on(colour: str) -> str:
+    """Black or white, whichever reads on a colour."""
+    return "black" if luminance(colour) > 0.25 else "white"

@@ -13,8 +13,19 @@ from matplotlib.collections import QuadMesh
 
 import loopshape as ls
 from loopshape.loop.points import point_outcome
-from loopshape.view.verdict.atlas import beyond, cells, levels_with, sensitivity_atlas, sorted_points, zero_crossings
-from loopshape.view.verdict.verdicts import ink_on, luminance, missed_colours, near_colours, room_colours
+from loopshape.toolbox.schedules.atlas import (
+    beyond,
+    cells,
+    ink_on,
+    levels_with,
+    luminance,
+    missed_colours,
+    near_colours,
+    room_colours,
+    sensitivity_atlas,
+    sorted_points,
+    zero_crossings,
+)
 
 
 def rows(ax: Axes) -> list[QuadMesh]:
