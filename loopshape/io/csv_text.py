@@ -104,7 +104,7 @@ def read_csv_names(path: Path, shape: CsvShape) -> tuple[str, ...]:
 def read_csv_table(path: Path, shape: CsvShape) -> CsvTable:
     """The whole file; refuses rows that have more cells than the header or the row before."""
     if path.suffix == ".gz":  # to its end: a table takes many times the room of its text
-        with reading(path, "CSV"), _bytes(path) as packed:
+        with reading(path, "CSV"), bytes_of(path) as packed:
             while packed.read(1 << 20):
                 pass
     return next(csv_stretches(path, shape, None))
@@ -116,7 +116,7 @@ def csv_stretches(path: Path, shape: CsvShape, rows: int | None) -> Iterator[Csv
 
     names, lines = _header(path, shape) if shape.header else ((), _skipped(path, shape))
     _refuse_empty(path, lines, shape.encoding)
-    with reading(path, "CSV"), _bytes(path) as file:
+    with reading(path, "CSV"), bytes_of(path) as file:
         frames = pd.read_csv(
             file,
             sep=r"\s+" if shape.separator == " " else shape.separator,
@@ -196,38 +196,10 @@ def _skip(file: IO[str], lines: int) -> int:
 
 
 def _open(path: Path, encoding: str) -> IO[str]:
-    return io.TextIOWrapper(_bytes(path), encoding=encoding, newline="")
+    return io.TextIOWrapper(bytes_of(path), encoding=encoding, newline="")
 
 
-def first_text(path: Path, most_bytes: int) -> tuple[str, str]:
-    """The beginning of a file of text in whole lines, and its encoding: a mark's, else UTF-8, else Windows-1252."""
-    with reading(path, "text"), _bytes(path) as file:
-        data = file.read(most_bytes)
-    text, encoding = _decoded(path, data, len(data) == most_bytes)
-    return (text[: text.rfind("\n") + 1] or text if len(data) == most_bytes else text), encoding
-
-
-def whole_text(path: Path, most_bytes: int) -> str:
-    """A whole file of text; refuses a longer one, of which a part would be missing in silence."""
-    with reading(path, "text"):
-        if (size := path.stat().st_size) >= most_bytes:
-            raise ValueError(f"it has {size} bytes, and {most_bytes - 1} are read at most")
-    return first_text(path, most_bytes)[0]
-
-
-def _decoded(path: Path, data: bytes, cut: bool) -> tuple[str, str]:
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return data[: len(data) // 2 * 2].decode("utf-16", errors="replace"), "utf-16"
-    if b"\0" in data:
-        raise UnreadableInputError(f"{path} is no file of text", "it holds zero bytes", "name its kind by its ending")
-    whole = data[: data.rfind(b"\n") + 1] or data if cut else data
-    try:
-        return whole.decode("utf-8-sig"), "utf-8-sig"
-    except UnicodeDecodeError:
-        return whole.decode("cp1252", errors="replace"), "cp1252"
-
-
-def _bytes(path: Path) -> IO[bytes]:
+def bytes_of(path: Path) -> IO[bytes]:
     """The file's bytes; of a packed one as they are unpacked, and no more than its size can carry."""
     if path.suffix == ".gz":
         return io.BufferedReader(Bounded(path, gzip.open(path)))

@@ -230,24 +230,6 @@ def write_text_whole(path: Path, text: str) -> None:
     write_whole(path, lambda part: _write_text(part, text))
 
 
-def write_beside(path: Path, text: str) -> str:
-    """Write a text under the first free name of name.x, name_2.x and so on, and give it; what stands there is kept.
-
-    A file that holds this very text is the one.
-    """
-    for k in range(1, _MOST_BESIDE):
-        free = path.with_stem(path.stem + f"_{k}" * (k > 1))
-        if not os.path.lexists(free):
-            write_text_whole(free, text)
-            return free.name
-        if free.is_file() and free.stat().st_size == len(text.encode()) and free.read_text("utf-8") == text:
-            return free.name
-    raise WrongUseError("a file of this name can be written", f"{_MOST_BESIDE} of {path}", "remove old ones")
-
-
-_MOST_BESIDE = 1000
-
-
 def _write_text(path: Path, text: str) -> None:
     try:
         data = text.encode("utf-8")

@@ -10,13 +10,16 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from glob import escape
 from pathlib import Path
 from typing import Any
 
 from loopshape.core.json_ready import json_ready
-from loopshape.io.files import reading, write_all, writing
+from loopshape.io.files import make_folder, reading, write_all, writing
 from loopshape.io.input_guard import own
 
+ARRIVING = ".arriving"  # ending of a recording that has not ended
+EARLIER = "earlier"  # folder of tables that are not, or no longer, recordings of the run
 FILE = "journal.jsonl"
 _NO_LINK = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)  # a line is never written elsewhere
 
@@ -69,3 +72,12 @@ def read_journal(folder: Path) -> tuple[list[Mapping[str, Any]], int]:
             if isinstance(words, dict) and isinstance(words.get("event"), str):
                 read.append(words)
     return read, sum(bool(line.strip()) for line in lines) - len(read)
+
+
+def next_earlier(folder: Path, name: str) -> Path:
+    """A path in `earlier` that is free, for a table of this recording."""
+    make_folder(folder / EARLIER)
+    number = 1
+    while any((folder / EARLIER).glob(f"{escape(name)}-{number}.*")):
+        number += 1
+    return folder / EARLIER / f"{name}-{number}.parquet"

@@ -26,16 +26,17 @@ from loopshape.io.files import PART, inside, leave_memory, make_folder, reading,
 from loopshape.io.folder_lock import alone as alone
 from loopshape.io.folder_lock import hold_of, locked
 from loopshape.io.provenance import KEY, file_sha256, versions
+from loopshape.io.run.journal import ARRIVING, EARLIER, next_earlier, note, note_all, read_journal
 from loopshape.io.run.journal import FILE as JOURNAL
-from loopshape.io.run.journal import note, note_all, read_journal
 from loopshape.io.run.run_signals import check_recordings as check_recordings
 from loopshape.io.run.run_tables import loop_table, read_loops, read_outputs, read_recording, recording_table
-from loopshape.io.run.stream_log import ARRIVING, EARLIER, next_earlier
 from loopshape.io.run.tables import TIME, TableColumns, check_rate, fill_table, read_about
 from loopshape.io.toml_text import toml_text
 
 FORMAT = "loopshape-run/1"
 RUN_TOML = "run.toml"
+#: the table of a campaign, beside the folders of its runs
+INDEX = "index.csv"
 #: `run.toml` of the run that this process holds, as it was last written, and the hold
 _WRITTEN: dict[Path, tuple[object, Mapping[str, Any]]] = {}
 _KEYS = ("format", "plant", "rate_hz", "outputs", "pwm", "loop", "recording")

@@ -14,10 +14,9 @@ from loopshape.core.stretches import Signal, stretches
 from loopshape.data.signal.recording import Recording
 from loopshape.io.files import PART, read_toml, reading, short
 from loopshape.io.provenance import KEY, file_sha256
+from loopshape.io.run.journal import ARRIVING, read_journal
 from loopshape.io.run.journal import FILE as JOURNAL
-from loopshape.io.run.journal import read_journal
 from loopshape.io.run.run_folder import RUN_TOML, read_run
-from loopshape.io.run.stream_log import ARRIVING
 from loopshape.io.run.tables import ENDINGS
 from loopshape.io.write.fits import FILE as FITS
 from loopshape.io.write.fits import read_fits

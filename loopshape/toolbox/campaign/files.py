@@ -22,7 +22,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.io.config_table import read_words
 from loopshape.io.files import PART, inside, reading, short, write_text_whole, write_whole
 from loopshape.io.folder_lock import alone
-from loopshape.io.run.replacing import INDEX
+from loopshape.io.run.run_folder import INDEX
 from loopshape.io.schema import value_of
 from loopshape.toolbox.campaign.machines import Campaign, Machine, Part
 from loopshape.toolbox.rig.files.study import read_study

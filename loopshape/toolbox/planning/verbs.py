@@ -11,7 +11,6 @@ from loopshape.core.errors import LoopshapeError, WrongUseError, refuse_unknown_
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.signal.channel import Channel
-from loopshape.data.signal.excitation_sets import realised
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.frequency_response import excited_recordings
@@ -21,6 +20,7 @@ from loopshape.toolbox.planning.plan import plan as plan_from
 from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import first_record
 from loopshape.toolbox.rig import registry
+from loopshape.toolbox.rig.excitation_sets import realised
 from loopshape.toolbox.rig.simulated import plan as doable
 from loopshape.toolbox.rig.steps.enough import Look, Until, look, until_of
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study

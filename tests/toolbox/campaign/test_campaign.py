@@ -15,9 +15,9 @@ from run_files import verify
 from simulated_machines import Arm1
 
 import loopshape as ls
-from loopshape.io.run.replacing import replace_run
 from loopshape.toolbox.campaign.files import read_campaign
 from loopshape.toolbox.campaign.machines import Part
+from loopshape.toolbox.formats.tables.replacing import replace_run
 from loopshape.toolbox.rig.effects import asked
 
 STUDY = """

@@ -9,11 +9,11 @@ from bench_nouns import BandNoise, Multisine, Sweep
 from conversions import TWO_PI
 from scipy.signal import lfilter
 
-from loopshape.data.signal.excitation_sets import realised
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_record import first_record
+from loopshape.toolbox.rig.excitation_sets import realised
 
 AT_HZ, STD, REPEATS = 6.0, 0.01, 60
 FIRSTS = {

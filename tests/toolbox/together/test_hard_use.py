@@ -22,12 +22,12 @@ from loopshape.data.signal.multisine import Multisine
 from loopshape.io.csv_text import read_csv_table
 from loopshape.io.folder_lock import alone
 from loopshape.io.run.journal import FILE as JOURNAL
-from loopshape.io.run.replacing import replace_run
 from loopshape.toolbox.campaign import processes
 from loopshape.toolbox.campaign.files import write_index
 from loopshape.toolbox.campaign.machines import Campaign
 from loopshape.toolbox.campaign.parallel import carried_out
 from loopshape.toolbox.formats.controllers.excitation_export import export_signals
+from loopshape.toolbox.formats.tables.replacing import replace_run
 
 RATE = 100.0
 STUDY = """

@@ -103,9 +103,9 @@ def import_run(
     """Import, check, write and report; what is there already, number for number, is left as it is."""
     from loopshape.core.stretches import extent
     from loopshape.identify.signals import has_instrument
-    from loopshape.io.run.replacing import replace_run
     from loopshape.io.run.run_folder import check_recordings
     from loopshape.toolbox.formats.tables.import_file import import_file as read
+    from loopshape.toolbox.formats.tables.replacing import replace_run
 
     beside = next((p for p in (out, *out.absolute().parents) if p.is_dir()), None)
     run = read(file, map_file, beside, accept_draft=accept)

@@ -18,11 +18,11 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import TWO_PI, Array, ComplexArray, from_db, rad
-from loopshape.io.csv_text import read_csv_table, whole_text
+from loopshape.io.csv_text import read_csv_table
 from loopshape.io.files import short
 from loopshape.toolbox.formats.drafts.column_words import split_unit
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
-from loopshape.toolbox.formats.tables.text_layout import TextLayout, read_layout
+from loopshape.toolbox.formats.tables.text_layout import TextLayout, read_layout, whole_text
 
 _PER_HZ = {"hz": 1.0, "khz": 1e3, "mhz": 1e6, "ghz": 1e9, "rad/s": 1.0 / TWO_PI, "rad/sec": 1.0 / TWO_PI}
 _WORDS = {

@@ -13,9 +13,9 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import ComplexArray, from_db, rad
-from loopshape.io.csv_text import whole_text
 from loopshape.io.files import reading, short
 from loopshape.toolbox.formats.frf.frf_foreign import ForeignFRF
+from loopshape.toolbox.formats.tables.text_layout import whole_text
 
 _PER_HZ = {"HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6, "GHZ": 1e9}
 _PARTS = ("RI", "MA", "DB")

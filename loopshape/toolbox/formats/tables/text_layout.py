@@ -9,8 +9,8 @@ from itertools import product
 from pathlib import Path
 
 from loopshape.core.errors import UnreadableInputError
-from loopshape.io.csv_text import CsvShape, first_text
-from loopshape.io.files import short
+from loopshape.io.csv_text import CsvShape, bytes_of
+from loopshape.io.files import reading, short
 from loopshape.toolbox.formats.logs.mdf4 import TIME_OF
 
 _SEPARATORS = (";", "\t", ",", "|", " ")
@@ -265,3 +265,31 @@ def _sentences(rows: _Rows, shape: CsvShape, named: int | None, units_at: int | 
     if encoding != "utf-8-sig":
         notes.append(f"encoding {encoding}: the text is not UTF-8.")
     return notes
+
+
+def first_text(path: Path, most_bytes: int) -> tuple[str, str]:
+    """The beginning of a file of text in whole lines, and its encoding: a mark's, else UTF-8, else Windows-1252."""
+    with reading(path, "text"), bytes_of(path) as file:
+        data = file.read(most_bytes)
+    text, encoding = _decoded(path, data, len(data) == most_bytes)
+    return (text[: text.rfind("\n") + 1] or text if len(data) == most_bytes else text), encoding
+
+
+def whole_text(path: Path, most_bytes: int) -> str:
+    """A whole file of text; refuses a longer one, of which a part would be missing in silence."""
+    with reading(path, "text"):
+        if (size := path.stat().st_size) >= most_bytes:
+            raise ValueError(f"it has {size} bytes, and {most_bytes - 1} are read at most")
+    return first_text(path, most_bytes)[0]
+
+
+def _decoded(path: Path, data: bytes, cut: bool) -> tuple[str, str]:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return data[: len(data) // 2 * 2].decode("utf-16", errors="replace"), "utf-16"
+    if b"\0" in data:
+        raise UnreadableInputError(f"{path} is no file of text", "it holds zero bytes", "name its kind by its ending")
+    whole = data[: data.rfind(b"\n") + 1] or data if cut else data
+    try:
+        return whole.decode("utf-8-sig"), "utf-8-sig"
+    except UnicodeDecodeError:
+        return whole.decode("cp1252", errors="replace"), "cp1252"

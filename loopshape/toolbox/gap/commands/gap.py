@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -136,7 +137,7 @@ def diagnose_run(
 
 def _saved(found: GapReport, answer: Path) -> GapReport:
     """Write the answer, and beside it the missing forces and the fix; the report names the files as written."""
-    from loopshape.io.files import make_folder, write_beside, write_json, write_text_whole
+    from loopshape.io.files import make_folder, write_json, write_text_whole
     from loopshape.toolbox.gap.nouns.gap_report import missing_csv
 
     make_folder(answer.parent)
@@ -147,6 +148,25 @@ def _saved(found: GapReport, answer: Path) -> GapReport:
         write_text_whole(answer.parent / curves[0].file, missing_csv(curves))
     write_json(answer, found.to_dict())
     return found
+
+
+def write_beside(path: Path, text: str) -> str:
+    """Write a text under the first free name of name.x, name_2.x and so on, and give it; what stands there is kept.
+
+    A file that holds this very text is the one.
+    """
+    from loopshape.core.errors import WrongUseError
+    from loopshape.io.files import write_text_whole
+
+    most = 1000
+    for k in range(1, most):
+        free = path.with_stem(path.stem + f"_{k}" * (k > 1))
+        if not os.path.lexists(free):
+            write_text_whole(free, text)
+            return free.name
+        if free.is_file() and free.stat().st_size == len(text.encode()) and free.read_text("utf-8") == text:
+            return free.name
+    raise WrongUseError("a file of this name can be written", f"{most} of {path}", "remove old ones")
 
 
 def _fix_line(fix: Fix, answer: Path | None) -> str:

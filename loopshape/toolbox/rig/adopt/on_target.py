@@ -15,13 +15,13 @@ from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.io.run.run_folder import add_recording, start_run
 from loopshape.io.run.run_tables import recording_table
-from loopshape.io.run.stream_log import adopted, open_stream_log
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
 from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.rig.target.acquisition import Arrived
 from loopshape.toolbox.rig.target.armed import Armed, beat_s, reason_words
 from loopshape.toolbox.rig.target.messages import Request, State
 from loopshape.toolbox.rig.target.session import RefusedError
+from loopshape.toolbox.rig.target.stream_log import adopted, open_stream_log
 from loopshape.toolbox.rig.target.target import Keeper, record
 from loopshape.toolbox.rig.target.trial import Phase, Progress, Watch
 

@@ -29,9 +29,9 @@ from loopshape.data.signal.excitation import (
     Staircase,
     Sweep,
 )
-from loopshape.data.signal.excitation_sets import LOOP_STEP
 from loopshape.io.config_table import ConfigTable, said_in
 from loopshape.io.schema import read
+from loopshape.toolbox.rig.excitation_sets import LOOP_STEP
 from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {

@@ -23,7 +23,6 @@ from loopshape.data.signal.recording import RecordingInfo
 from loopshape.io.run.journal import note
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.run.run_tables import recording_table
-from loopshape.io.run.stream_log import adopted, keep_arrived, open_stream_log
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.toolbox.rig.files.measuring import marked
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
@@ -36,6 +35,7 @@ from loopshape.toolbox.rig.target.blocks import own_radius
 from loopshape.toolbox.rig.target.link import open_link
 from loopshape.toolbox.rig.target.messages import Configuration, Identity
 from loopshape.toolbox.rig.target.session import Session
+from loopshape.toolbox.rig.target.stream_log import adopted, keep_arrived, open_stream_log
 from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
 from loopshape.verbs.watch import Confirm, Motion, Watch
 

@@ -13,7 +13,7 @@ from python_target_line import Faults, Running
 from run_files import finished, read_journal, verify
 
 import loopshape as ls
-from loopshape.io.run.stream_log import ARRIVING, EARLIER, keep_arrived, open_stream_log, read_arriving
+from loopshape.toolbox.rig.target.stream_log import ARRIVING, EARLIER, keep_arrived, open_stream_log, read_arriving
 from loopshape.toolbox.rig.verbs.machine import ended_early
 
 NAMES = ["x_rad", "u_v"]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import loopshape as ls
-from loopshape.io.files import write_beside
+from loopshape.toolbox.gap.commands.gap import write_beside
 from loopshape.toolbox.gap.mechanism.fix import in_files
 from loopshape.toolbox.gap.nouns.effect import NotWritten, fix_of
 from loopshape.toolbox.gap.nouns.machine import Kind, Mechanism

@@ -14,7 +14,6 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,10 @@ import numpy as np
 
 from loopshape.core.errors import UnreadableInputError
 from loopshape.core.units import Array
-from loopshape.io.files import make_folder, reading, write_all, writing
-from loopshape.io.run.journal import note
+from loopshape.io.files import reading, write_all, writing
+from loopshape.io.run.journal import ARRIVING, EARLIER, next_earlier, note
 from loopshape.io.run.tables import TIME, write_table
 
-ARRIVING = ".arriving"  # ending of a recording that has not ended
-EARLIER = "earlier"  # folder of tables that are not, or no longer, recordings of the run
 FORMAT = "loopshape-arriving/1"
 _BLOCK = struct.Struct("<II")
 
@@ -38,7 +35,7 @@ Append = Callable[[Mapping[str, Array]], None]
 def open_stream_log(
     folder: Path, name: str, about: Mapping[str, Any], rate_hz: float, columns: Sequence[str]
 ) -> Iterator[Append]:
-    """Open `NAME.open_stream_log` for one recording; gives what appends rows: columns (k,) by name.
+    """Open `NAME.arriving` for one recording; gives what appends rows: columns (k,) by name.
 
     The file stays, however this ends: `adopted` removes it, `keep_arrived` keeps what is in it. Refuses one that is
     there already, and a disk that cannot be written.
@@ -130,12 +127,3 @@ def keep_arrived(folder: Path) -> list[tuple[Path, int]]:
             kept.append((to, ticks))
         path.unlink()
     return kept
-
-
-def next_earlier(folder: Path, name: str) -> Path:
-    """A path in `earlier` that is free, for a table of this recording."""
-    make_folder(folder / EARLIER)
-    number = 1
-    while any((folder / EARLIER).glob(f"{escape(name)}-{number}.*")):
-        number += 1
-    return folder / EARLIER / f"{name}-{number}.parquet"

@@ -15,9 +15,7 @@ from loopshape.io.files import make_folder, plain_name, short, staged
 from loopshape.io.folder_lock import locked
 from loopshape.io.input_guard import own
 from loopshape.io.run.journal import FILE as JOURNAL
-from loopshape.io.run.run_folder import RUN_TOML, has_run, read_run_words, refuse_foreign, write_run
-
-INDEX = "index.csv"
+from loopshape.io.run.run_folder import INDEX, RUN_TOML, has_run, read_run_words, refuse_foreign, write_run
 
 
 def replace_run(folder: Path, run: Run) -> None:
