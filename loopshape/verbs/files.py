@@ -77,22 +77,6 @@ def read_controllers(file: str | Path) -> tuple[Controller, ...]:
     return read_file(Path(file))
 
 
-def read_gain_scheduled(file: str | Path) -> tuple[GainScheduled, ...]:
-    """The schedules in a controller file (TOML), one a loop. Raises UnreadableInputError for another file.
-
-    Examples
-    --------
-    >>> import loopshape as ls, tempfile
-    >>> soft, stiff = (ls.controller(ls.gain(k), rate_hz=1000.0, loop="theta") for k in (10.0, 4.0))
-    >>> C = ls.schedules.gain_scheduled([soft, stiff], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"})
-    >>> ls.schedules.read_gain_scheduled(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].nodes[1]
-    {'p_bar': 1.4}
-    """
-    from loopshape.io.write.controllers import read_gain_scheduled as read_file
-
-    return read_file(Path(file))
-
-
 def read_requirements(file: str | Path) -> tuple[Requirements, ...]:
     """The requirements in a file (TOML), one a loop. Raises UnreadableInputError for another file."""
     from loopshape.io.requirements import read_requirements as read_file

@@ -25,7 +25,6 @@ from loopshape.loop.verdict import check
 from loopshape.verbs.shaping import ShapedLoops, page_of
 from loopshape.view.page.payload import (
     ShapingSession,
-    certificate_words,
     controller_from,
     controller_words,
     requirements_from,
@@ -109,7 +108,7 @@ class ShapeServer:
     def _check(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         controller, required = controller_from(asked["controller"]), requirements_from(asked["requirements"])
         verdict = check(one.frfs, controller, one.of_plant(required), one.fits, disturbances=one.disturbances)
-        return {"certificate": certificate_words(verdict), "words": repr(verdict)}
+        return {"certificate": {"outcome": verdict.outcome.value}, "words": repr(verdict)}
 
     def _tune(self, one: ShapingSession, asked: Mapping[str, Any]) -> dict[str, Any]:
         from loopshape.design.tune import Search, tune

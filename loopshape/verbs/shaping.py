@@ -19,8 +19,7 @@ from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import closed_loops, equivalent_plants, matrix_loops, unstable_poles_met
 from loopshape.loop.verdict import check
-from loopshape.view.page.page import shape_page
-from loopshape.view.page.payload import ClosedLoops, ShapingSession
+from loopshape.view.page.payload import ClosedLoops, ShapingSession, shape_page
 
 if TYPE_CHECKING:
     from loopshape.view.page.widget import ShapeWidget

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from colour_vision import VISION, apart, lab_of
 
-from loopshape.view.page.page import STYLE, resource
+from loopshape.view.page.payload import STYLE, resource
 
 #: drawn in unbroken lines. What else has a colour has a second mark: B and 0 dB are dashed, a handle is a circle with
 #: a letter, a verdict has a sign and a word

@@ -11,9 +11,9 @@ from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
     from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
-    from loopshape.data.control.gain_scheduled import gain_scheduled as gain_scheduled
     from loopshape.toolbox.limits.verbs import schedule as schedule
-    from loopshape.verbs.files import read_gain_scheduled as read_gain_scheduled
+    from loopshape.toolbox.schedules.interpolated import gain_scheduled as gain_scheduled
+    from loopshape.toolbox.schedules.interpolated import read_gain_scheduled as read_gain_scheduled
 
 TOOLBOX = Toolbox(
     "schedules",
@@ -29,8 +29,8 @@ TOOLBOX = Toolbox(
     ),
     names={
         "GainScheduled": "loopshape.data.control.gain_scheduled",
-        "gain_scheduled": "loopshape.data.control.gain_scheduled",
-        "read_gain_scheduled": "loopshape.verbs.files",
+        "gain_scheduled": "loopshape.toolbox.schedules.interpolated",
+        "read_gain_scheduled": "loopshape.toolbox.schedules.interpolated",
         "schedule": "loopshape.toolbox.limits.verbs",
     },
     pictures={"atlas": "loopshape.toolbox.schedules.atlas:sensitivity_atlas"},

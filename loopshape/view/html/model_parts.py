@@ -84,7 +84,9 @@ def _fits_of(models: Sequence[FittedModel]) -> list[Markup]:
     for one in models:
         found = {mode.name: _estimate(mode) for mode in (*_readable(one.fit), *one.modes)}
         cells = [found.get(name, Cell(DASH, float("nan"))) for name in shown]
-        rows.append([_head(one.fit), *cells, *_quality(one.fit)])
+        enough = "yes" if one.fit.sufficient else "no"
+        quality = [figure(one.fit.misfit_db), figure(one.fit.chi2_per_dof), enough, _ended(one.fit)]
+        rows.append([_head(one.fit), *cells, *quality])
     caption = f"Fits of loop {first.loop}, structure {first.structure}: value, and below it the 95 % interval"
     made = [table(caption, columns, rows, sortable=len(rows) > 1)]
     bare = [p.name for p in first.parameters if p.unit == "SI"]
@@ -101,11 +103,6 @@ def _readable(fit: Fit) -> list[Estimate]:
 
 def _head(fit: Fit) -> Markup:
     return named(fit.recording, point(fit.operating_point, fit.rig_parameters))
-
-
-def _quality(fit: Fit) -> list[Cell | Content]:
-    enough = "yes" if fit.sufficient else "no"
-    return [figure(fit.misfit_db), figure(fit.chi2_per_dof), enough, _ended(fit)]
 
 
 def _headed(p: Estimate) -> str:

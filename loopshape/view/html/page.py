@@ -18,8 +18,7 @@ from loopshape.view.html.markup import Content, Markup, head, joined, json_block
 from loopshape.view.html.plots import BANDS_AT_ONCE, loop_data, picture, plots
 from loopshape.view.html.traces import Trace, loop_traces, plant_traces
 from loopshape.view.html.words import DASH, WORDS, Cell, count, definitions, details, figure, table
-from loopshape.view.page.page import resource
-from loopshape.view.page.payload import limit_words
+from loopshape.view.page.payload import limit_words, resource
 
 _READ = (
     "Point at a curve, or tap it: all plots of the loop mark the same frequency, and its values stand below. With the"
@@ -82,16 +81,8 @@ def _header(report: RunReport) -> Markup:
     text = ", ".join(f"{n} {what}{'' if n == 1 else 's'}" for n, what in counts if n)
     plant = report.run.plant if report.run is not None else ""
     facts = [("Machine", plant or report.name), ("Date", report.date), ("Author", report.author or DASH)]
-    return tag(
-        "header",
-        tag("h1", f"Run {report.name}"),
-        _facts(facts),
-        tag("p", text or "no data", class_="quiet"),
-    )
-
-
-def _facts(facts: Sequence[tuple[str, str]]) -> Markup:
-    return tag("p", joined(joined([tag("strong", what), " ", word, "   "]) for what, word in facts), class_="facts")
+    named = tag("p", joined(joined([tag("strong", what), " ", word, "   "]) for what, word in facts), class_="facts")
+    return tag("header", tag("h1", f"Run {report.name}"), named, tag("p", text or "no data", class_="quiet"))
 
 
 Section = tuple[str, str, Content]

@@ -1,7 +1,8 @@
-"""Plants, controller and requirements -> the data of the page: arrays as base64, constants by name, draws as a recipe.
+"""Plants, controller and requirements -> the page on which a loop is shaped by hand: one text that loads nothing.
 
-What depends on the controller is computed in the page, by the formulas that `loopshape.loop` has; draws of the FRF's
-error are made there by the same generator from the same seed.
+Its data are arrays as base64, constants by name, draws as a recipe. What depends on the controller is computed in the
+page, by the formulas that `loopshape.loop` has; draws of the FRF's error are made there by the same generator from the
+same seed.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from importlib.resources import files
 from types import ModuleType
 from typing import Any
 
@@ -43,13 +45,15 @@ from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
 from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
 from loopshape.loop.tolerances import TOL
 from loopshape.loop.verdict import outside_warnings
-from loopshape.view.html.markup import packed
+from loopshape.view.html.markup import Markup, head, json_block, packed, tag
 
 #: what pages know of a limit, to draw it and to read it
 _LIMIT = ("name", "sense", "unit", "label", "plot", "scale", "asked", "crossing", "open")
 #: limits that the page reads without a column; of the columns it knows those before this one
 _WITHOUT_COLUMN, _COLUMNS = ("controller_bandwidth_hz", "detuning_percent"), kernel.LN_WEIGHTED
 FORMAT = "loopshape-shape/1"
+#: the script, built from `src` by esbuild; `npm ci && npm run build` in this folder makes it anew
+SCRIPT, STYLE = "shape.js", "shape.css"
 #: so many lines of a disturbance at most: a page stays below a megabyte for each operating point
 MOST_LINES = 8192
 
@@ -84,6 +88,27 @@ class ShapingSession:
     def of_plant(self, required: Requirements) -> Requirements:
         """The requirements of the equivalent plant."""
         return required if self.others is None else self.others.of_plant(required)
+
+
+def shape_page(loops: Sequence[ShapingSession], title: str, version: str, *, saved: str | None = None) -> str:
+    """The whole page as HTML; the same loops give the same text. Of a server, it may ask it and no other,
+    and says which content of the server's file, `saved`, it may replace.
+    """
+    script = resource(SCRIPT)
+    body = [
+        tag("div", tag("p", "This page needs JavaScript."), id="page"),
+        json_block("data", payload(loops, title, version) | {"served": saved is not None, "saved": saved or ""}),
+        tag("script", Markup(script), id="script"),
+    ]
+    allowed = ("worker-src blob:", *["connect-src 'self'"] * (saved is not None))
+    top = head(f"{title} · loopshape shape", resource(STYLE), script, *allowed)
+    html = tag("html", top, tag("body", *body), lang="en")
+    return f"<!DOCTYPE html>\n{html}\n"
+
+
+def resource(name: str) -> str:
+    """Style or script that is shipped with the package."""
+    return files("loopshape.view.page").joinpath(name).read_text(encoding="utf-8")
 
 
 def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[str, Any]:
@@ -195,7 +220,7 @@ def _loop(one: ShapingSession) -> dict[str, Any]:
             for name, loop, frf in zip(one.verdict.margins, loops, one.frfs, strict=True)
         ],
         "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
-        "certificate": certificate_words(one.verdict),
+        "certificate": {"outcome": one.verdict.outcome.value},
         "notes": [*notes, *outside_warnings(required, loops), *_not_read(required)],
     }
 
@@ -224,11 +249,6 @@ def controller_from(words: Mapping[str, Any]) -> Controller:
     """A controller of the page, which writes a whole number for a float."""
     known: dict[str, Any] = {name: float(x) if type(x) is int else x for name, x in words.items() if name != "blocks"}
     return Controller(**known, blocks=tuple(Block(x["kind"], x["parameters"]) for x in words["blocks"]))
-
-
-def certificate_words(verdict: Verdict) -> dict[str, Any]:
-    """The outcome of Python's check."""
-    return {"outcome": verdict.outcome.value}
 
 
 def _point(name: str, loop: Loop) -> dict[str, Any]:

@@ -15,14 +15,16 @@ from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.result.verdict import Verdict
-from loopshape.view.page.page import SCRIPT, STYLE, resource
 from loopshape.view.page.payload import (
+    SCRIPT,
+    STYLE,
     ShapingSession,
     controller_from,
     controller_words,
     payload,
     requirement_words,
     requirements_from,
+    resource,
 )
 
 Check = Callable[[Sequence[Controller], Sequence[Requirements]], Verdict]

@@ -61,11 +61,9 @@ def _add_comparison(suites: ET.Element, comparison: Comparison, allow_worse: boo
         failure = fails if change.outcome is Change.WORSE else None
         name = f"{change.quantity} in {change.recording}"
         _add_case(suite, f"baseline.{change.loop}", name, change_text(change), failure)
-    ET.SubElement(suite, "system-out").text = _clean("\n".join([*comparison.notes, *_new(comparison)]))
-
-
-def _new(comparison: Comparison) -> list[str]:
-    return [f"new: {name}" for name in comparison.new]
+    ET.SubElement(suite, "system-out").text = _clean(
+        "\n".join([*comparison.notes, *(f"new: {name}" for name in comparison.new)])
+    )
 
 
 def _add_case(suite: ET.Element, where: str, name: str, text: str, failure: str | None) -> None:

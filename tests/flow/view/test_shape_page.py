@@ -24,7 +24,7 @@ from bench_nouns import Block
 import loopshape as ls
 from loopshape.verbs.shape_server import ShapeServer
 from loopshape.verbs.shaping import ShapedLoops, shaped
-from loopshape.view.page import page as page_module
+from loopshape.view.page import payload as page_module
 from loopshape.view.page.payload import ShapingSession, controller_words
 
 SOURCES = Path(page_module.__file__).parent

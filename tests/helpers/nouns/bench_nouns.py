@@ -2,7 +2,7 @@
 
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Precision, step
-from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable, gain_scheduled
+from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
@@ -54,6 +54,5 @@ __all__ = [
     "ThirdOrder",
     "TransferFunction",
     "Variable",
-    "gain_scheduled",
     "step",
 ]

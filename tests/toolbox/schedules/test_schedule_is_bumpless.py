@@ -4,7 +4,7 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from bench_nouns import Follows, GainScheduled, gain_scheduled
+from bench_nouns import Follows, GainScheduled
 from scipy.signal import lfilter
 
 import loopshape as ls
@@ -20,7 +20,9 @@ def node(gain: float, lead_hz: float, notch_hz: float, low_hz: float = 15.0) -> 
 
 def over_two(*controllers: ls.Controller, lag_s: float = 0.0) -> GainScheduled:
     points = [{"theta_deg": t, "p_bar": p} for t in (-30.0, 30.0) for p in (0.8, 1.4)]
-    return gain_scheduled(controllers, points, {"theta_deg": "theta", "p_bar": ("p", "output")}, lag_s=lag_s)
+    return ls.schedules.gain_scheduled(
+        controllers, points, {"theta_deg": "theta", "p_bar": ("p", "output")}, lag_s=lag_s
+    )
 
 
 def tables(C: GainScheduled) -> scheduled.Scheduled:
@@ -98,7 +100,7 @@ def test_an_integrator_keeps_its_output_when_the_operating_point_jumps():
     def with_pi(gain: float, f_hz: float) -> ls.Controller:
         return ls.controller(ls.gain(gain), ls.pi(f_hz), ls.low_pass(20.0, 0.7), rate_hz=RATE_HZ, loop="theta")
 
-    C = gain_scheduled(
+    C = ls.schedules.gain_scheduled(
         [with_pi(2.0, 0.5), with_pi(5.0, 2.0)], [{"p_bar": 0.8}, {"p_bar": 1.4}], {"p_bar": "p"}, lag_s=0.0
     )
     n = 4000
