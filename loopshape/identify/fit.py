@@ -50,7 +50,9 @@ def fit(
     """Fit a structure to the valid lines of a 1 x 1 FRF, or to those in `band_hz`.
 
     With `stable` the poles of a rational structure, those at zero apart, lie in the left half plane. None asks for it
-    of an FRF that was recorded in open loop, where an unstable plant would not have stayed within its range.
+    of an FRF that was recorded in open loop, where an unstable plant would not have stayed within its range, and where
+    the unstable poles come out above the lines (there they stand for a hold, a delay or modes, as stable ones do), or
+    below them without need.
 
     `variance` weights each line by its own variance: parameters of least spread if the structure is right.
     `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the
@@ -88,7 +90,13 @@ def fit(
         solution = solve(model, starts, (low, high), data, weight_variance, slopes, hopeless)
     else:
         solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
-    return _fit(structure, solution, lines, frf.digest)
+    made = _fit(structure, solution, lines, frf.digest)
+    unstable_hz, (first_hz, last_hz) = made.model.unstable_hz(), made.band_hz
+    if stable is None and unstable_hz.size and np.all((unstable_hz < first_hz) | (unstable_hz > last_hz)):
+        again = fit(frf, structure, weighting=weighting, band_hz=band_hz, stable=True)
+        if unstable_hz.max() > last_hz or again.sufficient or not made.sufficient:
+            return again
+    return made
 
 
 def _starts(structure: Structure, f: Array, G: ComplexArray, weights: Sequence[Array]) -> list[Array]:

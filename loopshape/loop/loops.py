@@ -17,6 +17,7 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF, Hold
 from loopshape.data.response.model import Fit
 from loopshape.data.response.smoothed import Scatter
+from loopshape.identify.fit import modes
 from loopshape.identify.matrix.equivalent_plant import equivalent_plant
 from loopshape.identify.matrix.interaction import square_part
 from loopshape.identify.smooth.smoothing import merged, smoothed
@@ -205,13 +206,30 @@ def _open_loop_poles(
     elif frf.open_loop:
         unstable, reason = 0, "because it was recorded in open loop"
     elif fit is not None and fit.sufficient:
-        unstable, reason = fit.model.unstable_poles(), "from its fit"
+        unstable, reason = unstable_by_fit(fit), "from its fit"
+        if unstable is None:
+            said = f"the fit of {frf.recording} has unstable poles that its frequencies do not decide"
+            return integrators, None, f"{note + '; ' if note else ''}{said}: declare unstable_poles"
     else:
         return integrators, None, note
     if unstable:
         word = "pole" if unstable == 1 else "poles"
         note = f"{note + '; ' if note else ''}plant taken to have {unstable} unstable {word}, {reason}"
     return integrators, unstable, note
+
+
+def unstable_by_fit(fit: Fit) -> int | None:
+    """Unstable poles of a plant by its fit; None where a pair of them may as well be stable, by its 95 % interval.
+
+    Those above the fit's lines do not count: there they stand for what bends the phase, a hold, a delay, modes, and no
+    loop whose bandwidth the lines hold would have let such a plant be measured.
+    """
+    unstable_hz, last_hz = fit.model.unstable_hz(), fit.band_hz[1]
+    poles = [x for x in modes(fit) if x.name.startswith("pole")] if fit.structure.startswith("rational") else []
+    for size, damping in zip(poles[::2], poles[1::2], strict=True):
+        if size.value <= last_hz and -1.0 < damping.value < 0.0 and not damping.interval[1] < 0.0:
+            return None
+    return int(np.sum(unstable_hz <= last_hz))
 
 
 def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, str]:

@@ -368,19 +368,27 @@ def shape(
 
 
 def predict(
-    P: Plants, C: Controller | Tuning | Sequence[Controller | Tuning], *, fits: Sequence[Fit] = (), seed: int = 0
+    P: Plants,
+    C: Controller | Tuning | Sequence[Controller | Tuning],
+    R: Requirements | None = None,
+    *,
+    fits: Sequence[Fit] = (),
+    seed: int = 0,
 ) -> tuple[Prediction, ...]:
     """S, T and the step of the closed loop under a controller that has not run yet, at each operating point.
 
-    With intervals from the FRF's error; steps need fits. Same seed, same draws. Of several controllers, one a loop of a
-    matrix FRF, each loop is predicted with the others closed. Refuses a negative seed.
+    With intervals from the FRF's error. A step is that of a fit, or of the lines themselves where they carry one and the
+    loop is known to be stable: `R` declares the plant's integrators and unstable poles, nothing else of it counts. Same
+    seed, same draws. Of several controllers, one a loop of a matrix FRF, each loop is predicted with the others closed.
+    Refuses a negative seed.
     """
     if seed < 0:
         raise WrongUseError("seed must be 0 or above", f"{seed}")
     from loopshape.loop.predict.prediction import predict as predict_loops
 
     own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,))]
-    return tuple(predict_loops(plants_of(P), own, tuple(fits), seed=seed))
+    poles = {} if R is None else {"integrators": R.integrators, "unstable_poles": R.unstable_poles}
+    return tuple(predict_loops(plants_of(P), own, tuple(fits), **poles, seed=seed))
 
 
 @overload

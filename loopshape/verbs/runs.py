@@ -277,8 +277,11 @@ def write_reports(found: CheckedRun, reports: Reports) -> None:
         write_text_whole(reports.markdown, markdown(checks.verdicts, None if compared is None else compared.parts))
 
 
-def predict(run: Path, controllers: Path, *, seed: int = 0, watch: Watch | None = None) -> tuple[Prediction, ...]:
+def predict(
+    run: Path, controllers: Path, require: Path | None = None, *, seed: int = 0, watch: Watch | None = None
+) -> tuple[Prediction, ...]:
     """What the controllers of a file will make of a run's loops; refuses a file without a loop that has an FRF."""
+    asked = {} if require is None else {one.loop: one for one in read_requirements(require)}
     frfs, fits, read_in = read_frfs(run), fits_of(run), read_controllers(controllers)
     pairs = [(one, mine) for one in read_in if (mine := [frf for frf in frfs if frf.loop == one.loop])]
     if not pairs:
@@ -289,7 +292,7 @@ def predict(run: Path, controllers: Path, *, seed: int = 0, watch: Watch | None 
     made: list[Prediction] = []
     with (watch or Unwatched()).progress("predict", len(pairs)) as step:
         for own, mine in pairs:
-            made += chain.predict(mine, own, fits=fits, seed=seed)
+            made += chain.predict(mine, own, asked.get(own.loop), fits=fits, seed=seed)
             step(own.loop)
     return tuple(made)
 

@@ -18,6 +18,9 @@ def predict(
     run: RunFolder,
     controller: Annotated[Path, typer.Argument(help="A controller file (TOML).", show_default=False)],
     out: Annotated[Path, typer.Option(help="The prediction file to write (.npz).")],
+    require: Annotated[
+        Path | None, typer.Option(help="Requirements (TOML): its integrators and unstable poles of the plant.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the draws behind the steps' intervals.")] = 0,
     figures: Annotated[bool, typer.Option(help="Draw |S|, |T| and the step of each operating point.")] = True,
     as_json: AsJson = False,
@@ -32,7 +35,7 @@ def predict(
     from loopshape.verbs.pictures import draw_predictions
 
     output = Output(as_json, quiet)
-    made = runs.predict(run, controller, seed=seed, watch=output)
+    made = runs.predict(run, controller, require, seed=seed, watch=output)
     write(made, out)
     _report(made, output)
     drawn = draw_predictions(out, made) if figures else []

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.outcomes import Convergence
-from loopshape.core.units import Array, ComplexArray, angular
+from loopshape.core.units import TWO_PI, Array, ComplexArray, angular
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,14 @@ class TransferFunction:
         """Poles at s = 0 (trailing zeros of the denominator)."""
         return int(self.den.size - 1 - np.flatnonzero(self.den)[-1])
 
+    def unstable_hz(self) -> Array:
+        """Sizes in Hz of the poles in the open right half plane, each of a pair."""
+        roots = self.poles()
+        return np.asarray(np.abs(roots[roots.real > 1e-9 * (1.0 + np.abs(roots))]) / TWO_PI)
+
     def unstable_poles(self) -> int:
         """Poles in the open right half plane."""
-        return int(np.sum(self.poles().real > 1e-9 * (1.0 + np.abs(self.poles()))))
+        return self.unstable_hz().size
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,8 @@ def predict(
     controllers: Controller | Sequence[Controller],
     fits: Sequence[Fit] = (),
     *,
+    integrators: int | None = None,
+    unstable_poles: int | None = None,
     draws: int = DRAWS,
     seed: int = 0,
 ) -> list[Prediction]:
@@ -49,15 +51,16 @@ def predict(
         names = ", ".join(repr(one.loop) for one in every)
         raise WrongUseError(f"there is no FRF of loop {names} to predict from", "", "measure or import one")
     closed = closed_loops(frfs, every)
+    declared = Requirements(integrators=integrators, unstable_poles=unstable_poles)
     if len(closed.names) > 1:
-        whole, more = matrix_loops(closed, Requirements())
+        whole, more = matrix_loops(closed, declared)
         counts = [closed_loops_stability(loop) for loop in whole]
         parts = [(own, equivalent_plants(own.loop, whole)) for own in every if own.loop in closed.names]
     else:
         more, counts, parts = [], [], [(every[0], closed.frfs)]
     made = []
     for own, plants in parts:
-        loops, notes = loops_of(plants, own, Requirements(own.loop), fits, counted=len(parts) == 1)
+        loops, notes = loops_of(plants, own, replace(declared, loop=own.loop), fits, counted=len(parts) == 1)
         texts = ("stability: " + "; ".join((*more, *notes)),) if more or notes else ()
         stable = counts if len(parts) > 1 else [closed_loop_stability(loop) for loop in loops]
         for loop, stability, frf in zip(loops, stable, plants, strict=True):
@@ -78,7 +81,8 @@ def _one(
     if stability.outcome is not ClosedLoop.STABLE:
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
     if fit is None:
-        step, why = _without_fit(S, stability.outcome, seed)
+        integrates = (loop.integrators or 0) + loop.controller_integrators() > 0
+        step, why = _without_fit(S, stability.outcome, 1.0 if integrates else None, seed)
         return Prediction(S, stability.outcome, step, notes + why)
     step = predict_step(fit, loop.controller, draws=draws, seed=seed)
     if step is None:
@@ -86,12 +90,12 @@ def _one(
     return Prediction(S, stability.outcome, _with_doubt(step, S, fit), notes)
 
 
-def _without_fit(S: FRF, stability: str, seed: int) -> tuple[Step | None, tuple[str, ...]]:
+def _without_fit(S: FRF, stability: str, final: float | None, seed: int) -> tuple[Step | None, tuple[str, ...]]:
     """The step that the lines carry, or why they carry none."""
     if stability is not ClosedLoop.STABLE:  # lines show no end of it: an unstable loop has no step
         return None, ("no fit of this FRF, and a loop that is not known to be stable: no step",)
     try:
-        return step_from_lines(S, seed=seed), ()
+        return step_from_lines(S, final=final, seed=seed), ()
     except WrongUseError as refused:
         return None, (f"no fit of this FRF, and {refused}",)
 

@@ -194,12 +194,14 @@ def _settling_grid(T: Callable[[Array], ComplexArray], rate_hz: float) -> _Grid 
     return None
 
 
-def step_from_lines(sensitivity: FRF, *, draws: int = 200, seed: int = 0) -> Step:
+def step_from_lines(sensitivity: FRF, *, final: float | None = None, draws: int = 200, seed: int = 0) -> Step:
     """Step of a measured loop straight from its lines, S (1 x 1), without a model; the lines are all that is used.
 
     The square wave's fundamental is the first line, f1: nothing is assumed below it, and the step is seen for 1/(2 f1)
     s. What happens slower is missing: refused where the answer has not come to rest by then, or where lines lie too far
-    apart to carry a period. Nothing above the last line, fn: what is faster than about 1/(2 fn) s is missing, refused
+    apart to carry a period. `final` is where the step ends, if that is known (1 with an integrator in the loop): what is
+    missing of it by then is what something slower still does, within which the band lies, and refused above `REST`.
+    Nothing above the last line, fn: what is faster than about 1/(2 fn) s is missing, refused
     where |T| is still above -20 dB there. Between lines T is taken as linear. The band is of the lines' covariance,
     errors of neighbours as correlated as `line_overlap` says.
     """
@@ -225,6 +227,13 @@ def step_from_lines(sensitivity: FRF, *, draws: int = 200, seed: int = 0) -> Ste
             f"it still moves by {100.0 * moved:.2g} % of the step over the last fifth of {grid.time_s[-1]:.3g} s",
             "measure lower, or take the step from a fit",
         )
+    slower = 0.0 if final is None else abs(final - _end(nominal))
+    if slower > REST:
+        raise WrongUseError(
+            "a step does not come to rest within half a period of the lowest frequency",
+            f"after {grid.time_s[-1]:.3g} s it is at {_end(nominal):.3g}, and ends at {final:.3g}",
+            "measure lower, or take the step from a fit",
+        )
     errors = _errors(sensitivity, draws, seed)
     every = [_step(lambda _, e=e: np.interp(at, f, T + e), grid) for e in errors]  # type: ignore[misc]
     low, high = np.quantile(every, [0.025, 0.975], axis=0)
@@ -232,8 +241,9 @@ def step_from_lines(sensitivity: FRF, *, draws: int = 200, seed: int = 0) -> Ste
         f"nothing slower than {0.5 / f[0]:.3g} s is seen (lowest frequency {f[0]:.3g} Hz), nothing above"
         f" {f[-1]:.3g} Hz, where |T| = {abs(T[-1]):.2g}"
     )
-    read = with_intervals(indicators(grid.time_s, nominal), [indicators(grid.time_s, y) for y in every])
-    return Step(grid.time_s, nominal, low, high, read, "FRF", 0.0, (seen,))
+    read, *drawn = (indicators(grid.time_s, y, final=final) for y in (nominal, *every))
+    read = with_intervals(read, drawn)
+    return Step(grid.time_s, nominal, low - slower, high + slower, read, "FRF", 0.0, (seen,))
 
 
 def _check_spacing(sensitivity: FRF) -> None:

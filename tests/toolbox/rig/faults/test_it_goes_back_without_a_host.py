@@ -51,7 +51,9 @@ def on_the_arm(arm_experiment, gain, pushed_deg=0.0):
         plain = configuration(session.identity, e.loops, wanted, e.rate_hz, {})
         armed = arm(session, wanted, e.loops, Configuration(**{**vars(plain), "trial": Trial(0, sections)}))
         push = replace(e, references=np.tile([np.radians(pushed_deg), 1.0], (10, 1)))
-        return lambda: record(armed, push, 1, lambda *about: nullcontext(lambda rows: None), None) if pushed_deg else None
+        return lambda: (
+            record(armed, push, 1, lambda *about: nullcontext(lambda rows: None), None) if pushed_deg else None
+        )
 
     return make
 

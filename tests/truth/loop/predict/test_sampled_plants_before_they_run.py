@@ -1,0 +1,94 @@
+"""Predictions and verdicts of sampled plants whose loops are simulated here: no pole is invented, no slow tail missed."""
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete, lfilter
+
+import loopshape as ls
+
+RATE = 1000.0
+FIRST_ORDER = [20.0], [1.0, 20.0]
+TWO_LAGS = [1.0], np.polymul([0.1, 1.0], [0.02, 1.0])
+RESONANCE = [4e3], [1.0, 12.0, 4e3]
+PLANTS = {"first order": FIRST_ORDER, "two lags": TWO_LAGS, "resonance": RESONANCE}
+
+
+def sampled(plant, delay=2):
+    """Numerator and denominator in z of a plant behind a hold and a delay of samples."""
+    b, a, _ = cont2discrete(plant, 1.0 / RATE)
+    return np.concatenate([np.zeros(delay), b.ravel()]), np.concatenate([a, np.zeros(delay)])
+
+
+def response(b, a, f_hz):
+    z = np.exp(2j * np.pi * np.asarray(f_hz) / RATE)
+    return np.polyval(b, z) / np.polyval(a, z)
+
+
+def measured(b, a, rng, first_hz=0.5, lines=150, std=0.02):
+    f_hz = np.geomspace(first_hz, 450.0, lines)
+    noise = rng.standard_normal((2, lines)) / np.sqrt(2.0)
+    return ls.FRF.from_arrays(
+        f_hz, response(b, a, f_hz) * (1.0 + std * (noise[0] + 1j * noise[1])), relative_std=std, rate_hz=RATE, loop="x"
+    )
+
+
+def closed(b, a, C):
+    """Numerator and denominator of T."""
+    numerator, denominator = b, a
+    for row in C.biquads():
+        numerator, denominator = np.polymul(numerator, row[:3]), np.polymul(denominator, [1.0, *row[3:]])
+    whole = np.polyadd(numerator, denominator)
+    return np.concatenate([np.zeros(whole.size - numerator.size), numerator]), whole
+
+
+def controlled(b, a, crossover_hz, zero_hz):
+    shape = ls.controller(ls.gain(1.0), ls.pi(zero_hz), rate_hz=RATE, loop="x")
+    size = 1.0 / abs(shape.response(np.array([crossover_hz]))[0] * response(b, a, crossover_hz))
+    return ls.controller(ls.gain(float(size)), ls.pi(zero_hz), rate_hz=RATE, loop="x")
+
+
+@pytest.mark.parametrize("name", ["first order", "two lags", pytest.param("resonance", marks=pytest.mark.long)])
+def test_a_fit_makes_no_stable_plant_unstable(name):
+    """A hold bends the phase: an unstable pair above the lines follows it, and no such pole was measured."""
+    b, a = sampled(PLANTS[name])
+    assert np.abs(np.roots(a)).max() < 1.0
+    for seed in range(2):
+        P = measured(b, a, np.random.default_rng(seed), std=(0.05, 0.01)[seed])
+        C = controlled(b, a, 4.0, 1.0)
+        assert np.abs(np.roots(closed(b, a, C)[1])).max() < 1.0
+        fit = ls.fit(P)
+        assert fit.model.unstable_poles() == 0
+        assert ls.check(P, C, fits=[fit]).outcome != "failed"
+        assert ls.predict(P, C, fits=[fit])[0].stability != "unstable"
+
+
+def test_an_unstable_pole_between_the_lines_still_counts():
+    b, a = sampled(([150.0], [1.0, 0.0, -150.0]), delay=0)  # 1.95 Hz
+    P = measured(b, a, np.random.default_rng(4), lines=200, std=0.05)
+    shape = ls.controller(ls.gain(1.0), ls.lead_lag(3.0, 30.0), rate_hz=RATE, loop="x")
+    size = 1.0 / abs(shape.response(np.array([9.0]))[0] * response(b, a, 9.0))
+    C = ls.controller(ls.gain(float(size)), ls.lead_lag(3.0, 30.0), rate_hz=RATE, loop="x")
+    assert np.abs(np.roots(closed(b, a, C)[1])).max() < 1.0
+    fit = ls.fit(P)
+    assert min(fit.model.unstable_hz()) == pytest.approx(np.sqrt(150.0) / 2.0 / np.pi, rel=0.02)
+    assert ls.check(P, C, fits=[fit]).passed
+
+
+def test_a_slow_tail_widens_the_step_or_is_no_step():
+    """A zero of the controller far below the crossover leaves a tail that lasts longer than the lowest line's period."""
+    rng, steps = np.random.default_rng(5), 0
+    R = ls.Requirements(integrators=0, unstable_poles=0)
+    for zero_hz in (0.02, 0.05, 0.1, 0.3, 1.0, 3.0):
+        for name, plant in PLANTS.items():
+            b, a = sampled(plant)
+            P, C = measured(b, a, rng, lines=300, std=0.002), controlled(b, a, 8.0, zero_hz)
+            step = ls.predict(P, C, R)[0].step
+            if step is None:
+                continue
+            numerator, denominator = closed(b, a, C)
+            truth = lfilter(numerator, denominator, np.ones(int(step.time_s[-1] * RATE) + 2))
+            seen = np.interp(step.time_s, np.arange(truth.size) / RATE, truth)
+            assert np.mean((step.low - 2e-3 <= seen) & (seen <= step.high + 2e-3)) > 0.9, (zero_hz, name)
+            assert step.indicators.steady_state_error == 0.0
+            steps += 1
+    assert steps >= 4
