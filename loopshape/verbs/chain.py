@@ -377,7 +377,7 @@ def predict(
 ) -> tuple[Prediction, ...]:
     """S, T and the step of the closed loop under a controller that has not run yet, at each operating point.
 
-    With intervals from the FRF's error. A step is that of a fit, or of the lines themselves where they carry one and the
+    With intervals from the FRF's error. A step is that of a fit, or of the lines where they carry one and the
     loop is known to be stable: `R` declares the plant's integrators and unstable poles, nothing else of it counts. Same
     seed, same draws. Of several controllers, one a loop of a matrix FRF, each loop is predicted with the others closed.
     Refuses a negative seed.

@@ -199,7 +199,7 @@ def step_from_lines(sensitivity: FRF, *, final: float | None = None, draws: int 
 
     The square wave's fundamental is the first line, f1: nothing is assumed below it, and the step is seen for 1/(2 f1)
     s. What happens slower is missing: refused where the answer has not come to rest by then, or where lines lie too far
-    apart to carry a period. `final` is where the step ends, if that is known (1 with an integrator in the loop): what is
+    apart to carry a period. `final` is where the step ends, if known (1 with an integrator in the loop): what is
     missing of it by then is what something slower still does, within which the band lies, and refused above `REST`.
     Nothing above the last line, fn: what is faster than about 1/(2 fn) s is missing, refused
     where |T| is still above -20 dB there. Between lines T is taken as linear. The band is of the lines' covariance,

@@ -1,4 +1,4 @@
-"""Predictions and verdicts of sampled plants whose loops are simulated here: no pole is invented, no slow tail missed."""
+"""Predictions and verdicts of sampled plants, whose loops are simulated here: no pole is invented, no tail missed."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_an_unstable_pole_between_the_lines_still_counts():
 
 
 def test_a_slow_tail_widens_the_step_or_is_no_step():
-    """A zero of the controller far below the crossover leaves a tail that lasts longer than the lowest line's period."""
+    """A zero of the controller far below the crossover leaves a tail that is longer than the lowest line's period."""
     rng, steps = np.random.default_rng(5), 0
     R = ls.Requirements(integrators=0, unstable_poles=0)
     for zero_hz in (0.02, 0.05, 0.1, 0.3, 1.0, 3.0):
