@@ -153,13 +153,24 @@ def __getattr__(name: str) -> Any:
         return boxes[name]
     there = [f"loopshape.{box}.{name}" for box, names in boxes.items() if name in dir(names)]
     hint = f"; there is {', '.join(there)}" if there else ""
+    if not hint:
+        from loopshape.core.errors import meant
+
+        hint = f"; {meant(name, __dir__())}".rstrip("; ")
     raise AttributeError(f"module 'loopshape' has no attribute {name!r}{hint}")
 
 
 def _public(home: str, name: str, public: str) -> Any:
     """What stands in a module under a name; a function behind the gate of its arguments."""
     found = getattr(import_module(home), name)
-    return _behind_gate(found, public) if isinstance(found, FunctionType) else found
+    if isinstance(found, FunctionType):
+        return _behind_gate(found, public)
+    from loopshape.core.gate import with_sentences
+
+    kind = found if isinstance(found, type) else type(found)
+    if kind.__module__.startswith("loopshape."):
+        with_sentences(kind, public)
+    return found
 
 
 @cache

@@ -42,6 +42,10 @@ class WrongUseError(LoopshapeError):
     """A call or a file whose words do not fit: unknown names, keys, units, kinds, rates."""
 
 
+class WrongCallError(WrongUseError, TypeError):
+    """A call with an argument too many, one missing or one of another name: what Python has a TypeError for."""
+
+
 class RigError(LoopshapeError):
     """A rig that does not answer, answers what it must not, or refuses: nothing moves until a person has looked."""
 
@@ -50,6 +54,7 @@ def meant(word: object, known: Iterable[str]) -> str:
     """The beginning of a way out, "did you mean 'local'? ", for a near miss; "" where nothing known is near."""
     plain = {_plain(one): one for one in known}
     near = get_close_matches(_plain(word), plain, 1, 0.6) if isinstance(word, str) and len(word) < 100 else []
+    near = near or [one for one in plain if one.startswith(f"{_plain(word)}_")]  # without its unit
     return f"did you mean {plain[near[0]]!r}? " if near else ""
 
 

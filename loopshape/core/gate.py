@@ -24,7 +24,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_typ
 import numpy as np
 from numpy.typing import ArrayLike
 
-from loopshape.core.errors import WrongUseError, an
+from loopshape.core.errors import WrongCallError, WrongUseError, an, meant
 from loopshape.core.toolboxes import found
 
 Positive = Annotated[float, "positive"]  # what readers of files hold these to
@@ -176,7 +176,10 @@ def gated(function: F, public: str = "") -> F:
 
     @wraps(function)
     def behind(*args: Any, **words: Any) -> Any:
-        bound = signature.bind(*args, **words)  # a wrong number of arguments is Python's own TypeError
+        try:
+            bound = signature.bind(*args, **words)
+        except TypeError:
+            raise _wrong_call(name, signature, args, words) from None
         hints = _hints(function)
         _pass(name, bound.arguments, hints, signature)
         bound.arguments.update({one: _plain(value, hints[one]) for one, value in bound.arguments.items()})
@@ -188,6 +191,60 @@ def gated(function: F, public: str = "") -> F:
             raise WrongUseError(f"a path of {name} is too long", received(error.filename), "shorten it") from error
 
     return behind  # type: ignore[return-value]
+
+
+@cache
+def with_sentences(cls: type, public: str) -> None:
+    """Let wrong calls of a public noun and of its methods end in a sentence, as those of public functions do."""
+    for name, one in list(vars(cls).items()):
+        inner = getattr(one, "__func__", one)  # of a method of the class
+        if isinstance(inner, types.FunctionType) and (name in ("__init__", "__call__") or name[0] != "_"):
+            made = _with_sentence(inner, public if name[0] == "_" else f"{public}.{name}")
+            setattr(cls, name, made if inner is one else type(one)(made))
+
+
+def _with_sentence(function: F, public: str) -> F:
+    @wraps(function)
+    def called(*args: Any, **words: Any) -> Any:
+        try:
+            return function(*args, **words)
+        except TypeError:
+            signature = inspect.signature(function)
+            try:
+                signature.bind(*args, **words)
+            except TypeError:
+                raise _wrong_call(public, signature, args, words) from None
+            raise  # from inside
+
+    return called  # type: ignore[return-value]
+
+
+def _wrong_call(
+    whose: str, signature: inspect.Signature, args: tuple[Any, ...], words: Mapping[str, Any]
+) -> WrongCallError:
+    """What does not fit between a call and the arguments of a function."""
+    takes = [one.replace(annotation=one.empty) for one in signature.parameters.values()]
+    takes = [one.replace(default=None) if isinstance(one.default, types.FunctionType) else one for one in takes]
+    if takes and takes[0].name in ("self", "cls"):
+        takes, args = takes[1:], args[1:]
+    named = [one.name for one in takes if one.kind in _NAMED]
+    placed = [one.name for one in takes if one.kind is one.POSITIONAL_OR_KEYWORD]
+    call = f"{whose}{inspect.Signature(takes)}"
+    call = f"call {call}" if len(call) < 400 else f"help({whose}) lists its arguments"
+    strange = [one for one in words if one not in named]
+    if strange and not any(one.kind is one.VAR_KEYWORD for one in takes):
+        limits = "limits go into R=ls.Requirements(...); " if "R" in named else ""
+        return WrongCallError(
+            f"{whose} takes no argument {strange[0]!r}", way_out=(meant(strange[0], named) or limits) + call
+        )
+    if len(args) > len(placed):
+        return WrongCallError(f"{whose} takes {len(placed)} arguments by position", str(len(args)), call)
+    twice = [one for one in placed[: len(args)] if one in words]
+    if twice:
+        return WrongCallError(f"{twice[0]} of {whose} is given twice", "once by position, once by name", call)
+    missing = [one.name for one in takes if one.default is one.empty and one.kind in _NAMED and one.name not in words]
+    missing = [one for one in missing if one not in placed[: len(args)]]
+    return WrongCallError(f"{whose} needs {' and '.join(missing)}", ", ".join(words), call)
 
 
 def _plain(value: Any, hint: Any) -> Any:
