@@ -212,7 +212,9 @@ def _one_by_one(task: Task, stages: list[Stage], search: Search) -> list[Stage]:
 def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:
     """A gain of one that runs as the controller to come."""
     rates = {frf.rate_hz for frf in frfs}
-    if len(rates) != 1 or 0.0 in rates:
+    if 0.0 in rates:
+        raise WrongUseError("the rate of the FRFs to tune for is not known", "rate_hz 0", "give them rate_hz=...")
+    if len(rates) != 1:
         raise WrongUseError("the FRFs of one loop must come from one rate", f"{sorted(rates)} Hz")
     one = (Block("gain", {"gain": 1.0}),)
     if start is None:

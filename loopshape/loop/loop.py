@@ -129,6 +129,10 @@ class Loop:
             beyond=beyond, raw=raw, scatter=scatter, recorded_under=tuple(recorded_under),
         )  # fmt: skip
 
+    def __repr__(self) -> str:
+        """One line: the controllers and their plant."""
+        return f"Loop: {', '.join(map(repr, self.controllers))}; {self.plant!r}"
+
     @property
     def is_one(self) -> bool:
         """Whether this is one loop, whose responses are (nf,)."""

@@ -97,9 +97,9 @@ def _without_zeros(frf: FRF, band: tuple[float, float] | None) -> tuple[FRF, str
     lines = frf.between(*band) if band else frf.valid_lines()
     if not lines.siso.any():
         raise WrongUseError(
-            f"the FRF of loop {frf.loop}, recording {frf.recording}, is zero: a dead sensor?",
-            f"{lines.siso.size} lines of 0",
-            "look at its signals, then measure again",
+            f"the FRF of loop {frf.loop}, recording {frf.recording}, is exactly zero at every frequency used",
+            f"{lines.siso.size} of {frf.frequency_hz.size} frequencies, all 0",
+            "look at its signals (a dead sensor?) and at its valid band, then measure again",
         )
     zero = frf.siso == 0.0
     if not zero.any():

@@ -124,6 +124,9 @@ def report_tuning(tuning: Tuning, output: Output) -> None:
         output.say(f"at a bound: {line}")
     if tuning.shortfall is not None and tuning.shortfall.stable:
         _report_shortfall(tuning.shortfall, output)
+    elif tuning.shortfall is not None:
+        ways = "more of them (--starts)" if tuning.starts > 1 else "others beside it (--starts 16)"
+        output.say(f"no stable controller was found from {tuning.starts} start{'s' * (tuning.starts > 1)}: try {ways}")
     report_verdicts([tuning.verdict], output, margins=False)
 
 

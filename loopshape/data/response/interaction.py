@@ -187,6 +187,12 @@ class Interaction(Plain):
     equivalents: tuple[EquivalentPlant, ...]
     verdicts: tuple[BandVerdict, ...]
 
+    def __repr__(self) -> str:
+        """One line: its loops, and how many bands are what."""
+        words = [str(v.verdict) for v in self.verdicts]
+        bands = [f"{words.count(word)} of {len(words)} bands {word}" for word in dict.fromkeys(words)]
+        return f"Interaction of {', '.join(self.loops)}: {', '.join(bands)}"
+
     @property
     def decoupled(self) -> bool:
         """Whether every pair is decoupled in every band; undecided is not."""

@@ -104,6 +104,12 @@ class Margins(Mapping[str, Reading], Plain):
         read = {x: Reading(v, intervals.get(x), at_hz.get(x), bounds.get(x)) for x, v in values.items()}
         return cls(read, ClosedLoop(stable), **more)
 
+    def __repr__(self) -> str:
+        """One line: whether the loop is stable, and the margins that are looked at first."""
+        main = ("gain_margin_db", "phase_margin_deg", "sensitivity_peak_db", "bandwidth_hz", "disk_margin")
+        read = [f"{name} {self[name].value:.4g}" for name in main if self[name].value == self[name].value]
+        return f"Margins: {', '.join([str(self.stable), *read])}"
+
     def __getitem__(self, name: str) -> Reading:
         if name not in LIMIT_OF:
             raise KeyError(f"{name!r} is no limit: {meant(name, LIMIT_OF)}known are {', '.join(LIMIT_OF)}")

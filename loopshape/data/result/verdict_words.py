@@ -41,7 +41,7 @@ class Notation(NamedTuple):
         read, (_, factor) = margins[limit.name], self.unit(limit.unit)
         beyond = limit.name == "detuning_percent" and margins.detuning is not None and margins.detuning.worst.beyond
         sign = "> " if beyond else self.sign(read.value, read.bound)
-        known = read.value == read.value and read.value != -inf
+        known = isfinite(read.value) or (read.value == inf and read.bound is None)
         told = (read.interval is not None or read.bound is not None) and read.span != (-inf, inf)
         ends = self.interval(read.span, factor) if told else ""
         return f"{sign}{self.figures(factor * read.value)}" if known else self.nothing, ends
@@ -124,14 +124,16 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
     limit, bound = LIMIT_OF.get(line.quantity), line.bound
     ends = notation._replace(figures=lambda value: figures(value / factor)).interval(line.span, factor)
     sign = "> " if line.beyond else notation.sign(line.value, bound)
+    known = isfinite(line.value) or (line.value == line.value and bound is None)
+    unknown = line.outcome.word if line.outcome is Outcome.UNDECIDED else "no bound"
     return Row(
         line.quantity,
         unit,
         "" if limit is None else notation.senses[limit.sense == "at_most"],
         figures(line.required),
-        sign + figures(line.value),
+        sign + figures(line.value) if known else unknown,
         ends + ("" if bound is None else " (bound)"),
-        figures(line.slack),
+        figures(line.slack) if known else notation.nothing,
         line.recording,
         line.at_hz,
         line.outcome,
@@ -157,10 +159,11 @@ def line_text(line: RequirementResult) -> str:
     row, unit = row_of(line, PRINTED._replace(bounds=("", ""))), _unit(line.unit)
     bound = "" if line.bound is None else "at least " if line.bound > line.value else "at most "
     found = f"{'more than ' if line.beyond else ''}{bound}{row.worst.removeprefix('> ')}{unit}"
+    found, slack = (found, f" (slack {row.slack}{unit})") if row.slack != PRINTED.nothing else (row.worst, "")
     interval = "" if line.span is None else f" (95 %: {PRINTED.interval(line.span)}{unit})"
     at = "" if line.at_hz is None else f" at {line.at_hz:.4g} Hz"
     decides = f": {row.decides}" if row.decides else ""
-    return f"required {row.asked}, found {found}{interval}{at} in {line.recording} (slack {row.slack}{unit}){decides}"
+    return f"required {row.asked}, found {found}{interval}{at} in {line.recording}{slack}{decides}"
 
 
 def stability_text(margins: Margins) -> str:

@@ -69,6 +69,11 @@ class Disturbance:
                 f"{self.duration_s!r}, {self.control_mean!r}",
             )
 
+    def __repr__(self) -> str:
+        """One line: what it is of, its length and its frequencies."""
+        of, f = " ".join(word for word in (self.loop, self.recording) if word), self.frequency_hz
+        return f"Disturbance{f' {of}' if of else ''}: {self.duration_s:.4g} s, {f.size} frequencies to {f[-1]:.4g} Hz"
+
     @classmethod
     @gated
     def from_spectrum(

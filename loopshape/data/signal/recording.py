@@ -95,6 +95,10 @@ class Recording:
     rate_hz: float
     columns: Mapping[str, Array]
 
+    def __repr__(self) -> str:
+        """One line: its name, columns and rate."""
+        return f"Recording {self.info.name}: {', '.join(self.columns)} at {self.rate_hz:g} Hz"
+
     def stored(self, name: str) -> Signal:
         """A column as it is stored, which may hold what is no number; of a long recording a `LongSignal`."""
         self._check_name(name)
