@@ -133,7 +133,7 @@ def bode() -> Figure:
     right.set(ylim=(-40.0, 15.0), xlabel="frequency [Hz]", title="closed loop")
     for ax in figure.axes:
         ax.axhline(0.0, color="0.3", linewidth=0.7)
-        ax.legend(loc="lower left")
+        ax.legend(loc="lower left" if ax is left else "center left")
     return figure
 
 

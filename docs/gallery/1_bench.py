@@ -32,6 +32,7 @@ v
 
 f_hz, size = P.frequency_hz, np.abs(P.siso)
 radius = np.sqrt(P.variance[:, 0, 0] * f.ppf(0.95, 2, P.variance_freedom))
+plt.rcParams["font.size"] = 8.0
 figure, panels = plt.subplot_mosaic(
     [["size", "verdict"], ["error", "verdict"]],
     figsize=(7.0, 3.4), layout="constrained", width_ratios=[1.0, 1.6], height_ratios=[2.2, 1.0],

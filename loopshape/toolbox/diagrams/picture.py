@@ -171,7 +171,7 @@ def _node(ax: Axes, D: Diagram, name: str, at: tuple[float, float]) -> None:
     box = FancyBboxPatch(corner, 2 * WIDE, 2 * HIGH, boxstyle="round,pad=0,rounding_size=0.06", facecolor=face)
     box.set(edgecolor=COLOURS[1] if name == D.tuned else "0.2", linewidth=0.9, zorder=3)
     ax.add_patch(box)
-    ax.text(*at, name, ha="center", va="center", fontsize=_TEXT if len(name) < 9 else 6.5, zorder=4)
+    ax.text(*at, name, ha="center", va="center", fontsize=_TEXT if len(name) < 6 else 6.5, zorder=4)
 
 
 def _out(ax: Axes, D: Diagram, name: str, at: tuple[float, float]) -> None:
@@ -251,7 +251,7 @@ class _Lines:
         (xa, ya), (xb, yb) = self._port(source, signal, 1), self._port(target, signal, -1)
         round_, x = target in self.D.sums, self.made.places[target][0]
         names = [signal] if source in (*self.D.sums, *self.D.external) else self.D.part(source).outputs
-        aside = max(0.45, 0.12 * max(map(len, names))) if self._returns(edge) else 0.45
+        aside = max(0.45, 0.15 * max(map(len, names))) if self._returns(edge) else 0.45
         aside += 0.4 * (ya - self.made.places[source][1])  # an upper port turns farther out
         if self._returns(edge):
             lane = self.lanes[signal]

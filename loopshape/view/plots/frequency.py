@@ -42,7 +42,7 @@ from loopshape.view.plots.curves import (
 )
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, axes_or_new, head, new_figure, styled
 
-_SHADE: dict[str, Any] = {"color": "#F7F4EC", "zorder": 0, "linewidth": 0.0}
+_SHADE: dict[str, Any] = {"facecolor": "#F4EFE1", "edgecolor": "0.6", "zorder": 0, "linewidth": 0.5}
 
 
 @styled()
