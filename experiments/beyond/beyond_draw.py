@@ -89,11 +89,13 @@ def draw_tracking(way: Path, recordings: Mapping[str, Recording], tables: Tables
     """The profile with and without feedforward, its error, and what errors of the parameters do."""
     figure = new_figure(3, 1, (7.2, 8.4))
     t = np.arange(way.derivative[0].size) / RATE_HZ
-    figure.axes[0].plot(t, deg(way.derivative[0]), color="black", linewidth=0.9, label="reference")
+    figure.axes[0].plot(
+        t, deg(way.derivative[0]), color="black", linestyle="--", linewidth=0.9, label="reference", zorder=5
+    )
     for k, (name, r) in enumerate(recordings.items()):
         angle, n = deg(r.column("true_theta2_rad")), r.column("t_s").size
         if name in ("none", "inverted model"):
-            figure.axes[0].plot(t[:n], angle, color=COLOURS[k], label=f"feedforward: {name}")
+            figure.axes[0].plot(t[:n], angle, color=COLOURS[k], linewidth=2.0, label=f"feedforward: {name}")
         figure.axes[1].plot(t[:n], deg(way.derivative[0])[:n] - angle, color=COLOURS[k], label=name, linewidth=0.9)
     figure.axes[0].set(
         ylabel=r"$\theta_2$ [deg]",
