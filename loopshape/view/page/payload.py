@@ -118,6 +118,7 @@ def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[s
         "version": version,
         "title": title,
         "limits": [limit_words(limit) for limit in LIMITS if _is_read(limit)],
+        "unread": {limit.name: limit.label for limit in LIMITS if not _is_read(limit)},
         "blocks": {name: list(kind.parameters) for name, kind in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
@@ -134,12 +135,6 @@ def limit_words(limit: Limit) -> dict[str, Any]:
     """What pages know of a limit."""
     ends = {"ceiling": limit.ceiling, "distance": limit.distance, "column": margins.COLUMN_OF.get(limit.name)}
     return {key: getattr(limit, key) for key in _LIMIT} | {k: min(x, 1e300) if x else x for k, x in ends.items()}
-
-
-def _not_read(required: Requirements) -> list[str]:
-    """A sentence on limits that are required and that the page does not read."""
-    names = [x.name for x in LIMITS if not _is_read(x) and x.name in required.limited()]
-    return [f"required, and read by loopshape check alone: {', '.join(names)}"] if names else []
 
 
 def _constants() -> dict[str, Any]:
@@ -221,7 +216,8 @@ def _loop(one: ShapingSession) -> dict[str, Any]:
         ],
         "closed": [controller_words(other) for other in one.others.controllers] if one.others else [],
         "certificate": {"outcome": one.verdict.outcome.value},
-        "notes": [*notes, *outside_warnings(required, loops), *_not_read(required)],
+        "notes": [*notes, *outside_warnings(required, loops)],
+        "weighted": required.weighted_norm is not None,
     }
 
 

@@ -10,6 +10,7 @@ import pytest
 import shaped_cases
 
 import loopshape as ls
+from loopshape.data.requirement.requirements import LIMITS
 from loopshape.view.page.payload import controller_words
 
 RATE_HZ = shaped_cases.RATE_HZ
@@ -80,3 +81,32 @@ def test_a_disturbance_of_several_loops_is_refused(tmp_path: Path) -> None:
     each = [ls.controller(ls.gain(1.0), rate_hz=RATE_HZ, loop=name) for name in "ab"]
     with pytest.raises(ls.errors.WrongUseError, match="take one loop alone"):
         ls.shape(P, each, None, tmp_path / "shape.html", disturbance=disturbance("spectrum"))
+
+
+@pytest.mark.parametrize("name", ["control_rms", "control_peak", "control_rate", "saturation_percent"])
+def test_what_is_required_and_not_judged_is_named_and_keeps_the_verdict_open(
+    name: str, context: Any, tmp_path: Path
+) -> None:
+    """`check` fails the design by a limit that the page does not judge: the page must not say passed."""
+    frfs, known = shaped_cases.plants("lag"), disturbance("recording")
+    C = ls.controller(ls.gain(3.0), rate_hz=RATE_HZ, loop="x")
+    more = {"control_range": (-1e-3, 1e-3)} if name == "saturation_percent" else {}
+    R = ls.Requirements("x", integrators=0, unstable_poles=0, phase_margin_deg=1.0, **{name: 1e-9}, **more)
+    assert ls.check(frfs, C, R, disturbance=known).outcome == "failed"
+    page = page_in_browser.opened(context, ls.shape(frfs, C, R, tmp_path / "shape.html", disturbance=known))
+    badge, told = page.locator("#verdict-badge").inner_text(), page.locator("#unjudged").inner_text()
+    strip, title = page.locator("#strip .badge").text_content(), page.title()
+    before = page.evaluate("loopshape.state.outcome")
+    file = ls.write(ls.Requirements("x", integrators=0, unstable_poles=0, phase_margin_deg=1.0), tmp_path / "r.toml")
+    page.locator("#file").set_input_files(file)
+    page_in_browser.settled(page)
+    after, hidden = page.evaluate("loopshape.state.outcome"), page.locator("#unjudged").is_hidden()
+    page.close()
+    assert "undecided" in badge
+    assert "undecided" in strip
+    assert "undecided" in title
+    assert before == "undecided"
+    label = next(limit.label for limit in LIMITS if limit.name == name)
+    assert f"Required and not judged on this page: {label}" in told
+    assert "loopshape check" in told
+    assert (after, hidden) == ("passed", True)

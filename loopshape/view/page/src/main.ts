@@ -8,14 +8,14 @@ import {
 } from "./design/design";
 import { button, download, el, focusedIn, shown, slider } from "./dom";
 import { Cell, OwnDocument, type Guest, type Host, type Model } from "./host";
-import { quantityOf, requirementsAt } from "./loop/limits";
+import { quantityOf, requirementsAt, unjudged } from "./loop/limits";
 import { unitCrossings } from "./loop/margins";
 import { payloadOf, type Payload, type PlantLoop, type Raw } from "./payload";
 import { Screen } from "./screen";
 import { scaledTo } from "./design/tune";
 import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
-import { Engine, type Verdict } from "./loop/verdict";
+import { Engine, type Outcome, type Verdict } from "./loop/verdict";
 import type { Trace } from "./draw/views";
 import { DETUNED, Pool, STAGES, workHere, type Stage, type Worked } from "./work";
 import { worstOf } from "./loop/worst";
@@ -46,6 +46,7 @@ class Page implements Guest {
   private readonly pool: Pool;
   private readonly message = el("p", { id: "message", role: "status", "aria-live": "polite" });
   private readonly verdict = el("span", { id: "verdict-badge" });
+  private readonly unjudged = el("p", { class: "line undecided", id: "unjudged" });
   private readonly certificate = el("p", { class: "quiet", id: "certificate" });
   private readonly closed = el("p", { id: "closed", "aria-live": "polite" });
   private readonly redraw = (): void => this.draw();
@@ -137,7 +138,7 @@ class Page implements Guest {
       this.closed,
       this.message,
       el("main", {},
-        el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.table.element, this.certificate, this.notes()),
+        el("section", { id: "verdict", "aria-label": "Verdict" }, el("h2", {}, "Requirements ", this.verdict), this.unjudged, this.table.element, this.certificate, this.notes()),
         el("section", { id: "plots", "aria-label": "Plots" }, this.screen.element),
         el("section", { id: "controller", "aria-label": "Controller" }, el("h2", {}, "Controller"), this.bandwidth.element, this.blocks.element),
       ),
@@ -267,7 +268,7 @@ class Page implements Guest {
     const { blocks, feasible } = await this.pool.tune({ loop, design, from_hz, hz });
     if (this.design !== before || this.current !== loop) return feasible;
     const missed = "and all that is required were not reached together with what is free: the nearest is shown; add a lead or a notch, unlock numbers, or ask for less";
-    this.change({ blocks }, true, `${shown(hz)} Hz ${feasible ? "and all that is required are reached, with intervals and stability" : missed}`);
+    this.change({ blocks }, true, `${shown(hz)} Hz ${feasible ? `and all that is required${this.open.length ? " and judged here" : ""} are reached, with intervals and stability` : missed}`);
     this.histories[this.current].close();
     return feasible;
   }
@@ -508,6 +509,17 @@ class Page implements Guest {
     return this.settled && (this.detuned || typeof this.design.requirements.detuning_percent !== "number");
   }
 
+  /** What is required and not judged here. */
+  private get open(): string[] {
+    return unjudged(this.design.requirements, this.payload.unread, this.loop.weighted);
+  }
+
+  /** The verdict, null while it is computed: at best undecided where something required is not judged here. */
+  private get outcome(): Outcome | null {
+    if (!this.decided || !this.found) return null;
+    return this.found.outcome === "passed" && this.open.length ? "undecided" : this.found.outcome;
+  }
+
   private isStart(): boolean {
     const { controller, requirements } = this.loop;
     return JSON.stringify([this.controller, this.design.requirements]) === JSON.stringify([controllerOf(designOf(controller, requirements)), requirements]);
@@ -516,7 +528,10 @@ class Page implements Guest {
   private show(): void {
     const found = this.found as Verdict;
     const asked = found.rows.length > 0;
-    this.verdict.replaceChildren(badge(this.decided ? found.outcome : null));
+    const open = this.open;
+    this.verdict.replaceChildren(badge(this.outcome));
+    this.unjudged.textContent = open.length ? `Required and not judged on this page: ${open.join("; ")}. Judge these with loopshape ${this.signing}.` : "";
+    this.unjudged.hidden = !open.length;
     this.verdict.title = asked ? "" : "stability alone: nothing is required";
     this.tabulate();
     this.blocks.show(this.controller);
@@ -532,13 +547,13 @@ class Page implements Guest {
       : `The certificate (${word}) is of an earlier design. ${here} Sign this one with loopshape ${this.signing}.`;
     const can = { undo: this.histories[this.current].can(-1), redo: this.histories[this.current].can(1), swap: this.others[this.current] !== null };
     for (const [id, may] of Object.entries(can)) (this.root.querySelector(`#${id}`) as HTMLButtonElement).disabled = !may;
-    this.host.titled(`${this.decided ? found.outcome : "…"} · ${this.loop.name} · loopshape shape`);
+    this.host.titled(`${this.outcome ?? "…"} · ${this.loop.name} · loopshape shape`);
     this.draw();
   }
 
   private tabulate(): void {
     const { settled, detuned, late } = this;
-    if (this.found) this.table.show(this.design.requirements, this.found, { settled, detuned, late }, this.otherVerdict);
+    if (this.found) this.table.show(this.design.requirements, this.found, { settled, detuned, late }, this.otherVerdict, this.outcome);
   }
 
   private draw(): void {
@@ -564,8 +579,7 @@ class Page implements Guest {
 
   get state(): { settled: boolean; detuned: boolean; outcome: string | null; rows: string[]; controller: Controller } {
     const rows = (this.found?.rows ?? []).map((row) => `${row.quantity} ${shown(row.value)} ${row.outcome}`);
-    const outcome = this.decided ? (this.found as Verdict).outcome : null;
-    return { settled: this.settled, detuned: this.detuned, outcome, rows, controller: this.controller };
+    return { settled: this.settled, detuned: this.detuned, outcome: this.outcome, rows, controller: this.controller };
   }
 }
 

@@ -244,6 +244,8 @@ interface RawLoop {
   closed: Controller[];
   certificate: Certificate | null;
   notes: string[];
+  /** Whether a norm of the weighted loop is required, which the page leaves out. */
+  weighted: boolean;
 }
 
 export interface PlantLoop extends Omit<RawLoop, "points"> {
@@ -255,6 +257,8 @@ export interface Raw {
   version: string;
   title: string;
   limits: ReadLimit[];
+  /** Labels of the limits that `check` alone judges, by their names. */
+  unread: Record<string, string>;
   blocks: Record<string, string[]>;
   constants: Constants;
   random: { smoothing: State; between: State };

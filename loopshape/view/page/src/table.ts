@@ -69,7 +69,7 @@ export class RequirementTable {
   }
 
   /** Rows as asked for now; found numbers of the page's loop, null while nothing is known. */
-  show(requirements: Requirements, found: Verdict, known: Known, before: Verdict | null): void {
+  show(requirements: Requirements, found: Verdict, known: Known, before: Verdict | null, outcome: Outcome | null): void {
     const everywhere = requirementsAt({ ...requirements, at: [] }, {});
     const asked = this.limits.filter((limit) => found.rows.some((row) => row.quantity === limit.name));
     const shape = asked.map(({ name }) => `${name} ${name in everywhere}`).join();
@@ -85,7 +85,7 @@ export class RequirementTable {
       const [isKnown, late] = limit.name === DETUNING ? [known.detuned, known.late.detuning] : [known.settled, known.late.intervals];
       this.fill(limit, row, cells, isKnown, rowOf(late, limit), rowOf(before, limit));
     }
-    this.tellInShort(found, known);
+    this.tellInShort(found, known.settled, outcome);
     const counted = known.settled ? found : known.late.intervals;
     this.stability.replaceChildren(...(counted ? this.stabilityWords(counted) : ["Stability: computing"]));
     this.stability.classList.toggle("late", !known.settled);
@@ -94,14 +94,13 @@ export class RequirementTable {
   }
 
   /** The verdict, then what is missed first. */
-  private tellInShort({ rows, outcome, unstable }: Verdict, { settled, detuned }: Known): void {
-    const decided = settled && (detuned || !rows.some(({ quantity }) => quantity === DETUNING));
+  private tellInShort({ rows, unstable }: Verdict, settled: boolean, outcome: Outcome | null): void {
     const lost = settled && unstable.length ? el("span", { class: "line failed" }, `not stable at ${unstable.length} of ${this.names.length}`) : "";
     const short = WORST_FIRST.flatMap((word) => rows.filter((row) => row.outcome === word)).map(({ quantity, value, outcome: word }) => {
       const limit = this.limits.find(({ name }) => name === quantity) as Limit;
       return el("span", { class: `line ${word}` }, `${OUTCOMES[word][0]} ${limit.label} ${shown(value)} ${unit(limit)}`);
     });
-    this.strip.replaceChildren(badge(decided ? outcome : null), lost, ...short);
+    this.strip.replaceChildren(badge(outcome), lost, ...short);
     this.strip.classList.toggle("late", !settled);
   }
 

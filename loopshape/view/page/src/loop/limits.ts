@@ -76,6 +76,12 @@ export function requirementsAt({ at = [], ...own }: Requirements, point: Operati
   return { ...none, ...made };
 }
 
+/** Labels of what is required, at some operating point perhaps, and not judged here. */
+export function unjudged({ at = [], ...own }: Requirements, unread: Record<string, string>, weighted: boolean): string[] {
+  const names = Object.keys(unread).filter((name) => (name === "weighted_norm" ? weighted : [own, ...at].some((one) => typeof one[name] === "number")));
+  return names.map((name) => unread[name]);
+}
+
 /** Masks of a response: first those of all operating points, then those of some alone. */
 export function masksOn({ masks = [], at = [] }: Requirements, response: string): Mask[] {
   return [...masks, ...at.flatMap((one) => one.masks ?? [])].filter((mask) => mask.response === response);
