@@ -230,6 +230,73 @@ def detuning() -> Figure:
     return figure
 
 
+@styled()
+def weights() -> Figure:
+    """|S|, |T| and |CS| of a loop under gamma over the size of each weight, which they touch where they bind."""
+    f_hz = np.geomspace(0.5, 400.0, 150)
+    s = 2j * np.pi * f_hz
+    P = ls.FRF.from_arrays(
+        f_hz,
+        900.0 / (s * (s + 8.0)) * np.exp(-0.002 * s),
+        relative_std=0.01,
+        rate_hz=2000.0,
+        open_loop=True,
+    )
+    sizes = {
+        "S": ls.Weight("S", ((0.5, 35.0), (20.0, -5.0))),
+        "T": ls.Weight("T", (ls.gain(0.4), ls.lead_lag(30.0, 3000.0))),
+        "CS": ls.Weight("CS", lambda f: 0.02 * np.sqrt(1.0 + (f / 200.0) ** 2)),
+    }
+    R = ls.Requirements(
+        phase_margin_deg=40.0,
+        weights=tuple(sizes.values()),
+        objective=ls.Objective(bandwidth=0.0, weighted_norm=1.0),
+        integrators=1,
+    )
+    C = ls.tune(P, R, [ls.gain(), ls.lead_lag(), ls.low_pass()], starts=4)
+    one = ls.Loop(P, C.controller)
+    figure = new_figure(1, 3, (FULL_WIDTH_IN, 2.6))
+    for k, (ax, response) in enumerate(zip(figure.axes, (one.S, one.T, one.CS), strict=True)):
+        name, size = list(sizes.items())[k]
+        ax.semilogx(f_hz, decibels(response), color=COLOURS[k], label=f"|{name}|")
+        ax.semilogx(
+            f_hz,
+            decibels(C.weighted_norm / size.at(f_hz)),
+            "--",
+            color=LIMIT,
+            label=f"$\\gamma$ / |W$_{k + 1}$|",
+        )
+        ax.set(xlabel="frequency [Hz]", xlim=(0.5, 400.0))
+        ax.legend(loc="lower left" if k == 1 else "lower right")
+    figure.axes[0].set_ylabel("[dB]")
+    return figure
+
+
+@styled()
+def rig() -> Figure:
+    """Who does what while a machine is driven: host, target, machine, and what goes between them."""
+    figure = Figure(figsize=(FULL_WIDTH_IN, 1.7))
+    ax = figure.add_subplot()
+    ax.set(xlim=(0.0, 14.0), ylim=(-1.7, 1.7))
+    ax.set_axis_off()
+    for x, name, words in (
+        (1.9, "host", "loopshape: study, limits,\ncolumns as they arrive,\njournal"),
+        (7.0, "target", "controllers at their rate,\nlimits, watchdog, vent"),
+        (12.1, "machine", "actuators, plant,\nsensors"),
+    ):
+        ax.add_patch(Rectangle((x - 1.8, -1.4), 3.6, 2.8, facecolor="white", edgecolor="0.2"))
+        ax.text(x, 0.95, name, ha="center", va="center", fontweight="bold")
+        ax.text(x, -0.25, words, ha="center", va="center", fontsize=7.5)
+    for left, right, there, back in (
+        (3.7, 5.2, "excitation", "samples"),
+        (8.8, 10.3, "commands", "signals"),
+    ):
+        for y, a, b, words in ((0.45, left, right, there), (-0.45, right, left, back)):
+            ax.annotate("", (b, y), (a, y), arrowprops=ARROW)
+            ax.text((left + right) / 2, y + 0.25, words, ha="center", va="center", fontsize=7.0)
+    return figure
+
+
 def decibels(values: np.ndarray) -> np.ndarray:
     return np.asarray(20.0 * np.log10(np.abs(values)))
 
@@ -255,4 +322,6 @@ def pictures() -> dict[str, Figure]:
         "definitions/bode": bode(),
         "definitions/intervals": intervals(),
         "definitions/detuning": detuning(),
+        "definitions/weights": weights(),
+        "definitions/rig": rig(),
     }
