@@ -106,7 +106,6 @@ interface RawPoint {
   terms: { residue: [number, number]; pole: [number, number]; first: number; influence: string }[];
   integrators: number | null;
   unstable_poles: number | null;
-  open_loop_note: string;
   fitted_f: string;
   fitted: string;
   fitted_poles: [number, number][];

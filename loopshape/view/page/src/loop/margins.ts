@@ -1,6 +1,6 @@
 // Loop -> margins, bias-corrected for noise, with 95 % intervals from draws (Python: loop/margins.py).
 
-import { clip, db, fromDb, geometric, magnitudes, placeIn, type Complex, type Real } from "../numbers/arrays";
+import { clip, db, fromDb, geometric, magnitudes, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import { rmsUnder, type Rms } from "../numbers/disturbed";
 import type { Detuning } from "./detuning";
@@ -338,9 +338,4 @@ export function axisCrossings(f: Real, L: Complex): number[] {
     if (L.re[k] + share * (L.re[k + 1] - L.re[k]) < 0) out.push(f[k] + share * (f[k + 1] - f[k]));
   }
   return out;
-}
-
-/** Where in a gap of rising frequencies one lies: the line before it. */
-export function gapOf(f: Real, at: number): number {
-  return clip(placeIn(f, at, true) - 1, 0, f.length - 2);
 }

@@ -237,7 +237,7 @@ function fill({ L, reference, factor, draws }: Rows, k: number, x: Float64Array,
 /** What one line tells by itself; |L|² and |1 + L|² there. Quotients are compared as products. */
 function alone({ f, c2, fromHz, masks }: Grid, k: number, x: Float64Array, y: Float64Array, size: Float64Array, away: Float64Array, out: Scan): void {
   const { found, at } = out;
-  const [T, CS, high, PS, disk, modulus] = [COMPLEMENTARY_DB, CONTROL_DB, CONTROL_HIGH_DB, PROCESS_DB, LN_DISK, LN_MODULUS].map((c) => found[c]);
+  const { [COMPLEMENTARY_DB]: T, [CONTROL_DB]: CS, [CONTROL_HIGH_DB]: high, [PROCESS_DB]: PS, [LN_DISK]: disk, [LN_MODULUS]: modulus } = found;
   const [hz, c, isHigh, count] = [f[k], c2[k], f[k] >= fromHz, x.length];
   for (let r = 0; r < count; r++) {
     const y2 = y[r] * y[r];
@@ -280,7 +280,7 @@ function chords(
   f0: number, f1: number, x0: Float64Array, y0: Float64Array, x1: Float64Array, y1: Float64Array, size: Float64Array, away: Float64Array, out: Scan,
 ): void {
   const { found, at, sensed, last, lastAway } = out;
-  const [modulus, bandwidth, ofS, ofT] = [LN_MODULUS, LN_BANDWIDTH_HZ, LN_SENSITIVITY_HZ, LN_COMPLEMENTARY_HZ].map((c) => found[c]);
+  const { [LN_MODULUS]: modulus, [LN_BANDWIDTH_HZ]: bandwidth, [LN_SENSITIVITY_HZ]: ofS, [LN_COMPLEMENTARY_HZ]: ofT } = found;
   const count = x1.length;
   for (let r = 0; r < count; r++) {
     const x = 1 + x0[r];

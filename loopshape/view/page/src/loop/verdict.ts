@@ -10,7 +10,7 @@ import type { Limit, Payload, PlantLoop, Requirements } from "../payload";
 import { closedLoopStability } from "./stability";
 
 export type Outcome = "passed" | "failed" | "undecided";
-const SEVERITY: Record<Outcome, number> = { failed: 0, undecided: 1, passed: 2 };
+export const SEVERITY: Record<Outcome, number> = { failed: 0, undecided: 1, passed: 2 };
 
 export interface Row {
   quantity: string;

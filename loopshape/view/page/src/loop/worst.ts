@@ -1,12 +1,11 @@
 // Which operating point to look at first (Python: loop/points.py).
 
-import type { Verdict, Outcome, Row } from "./verdict";
+import { SEVERITY, type Row, type Verdict } from "./verdict";
 
 const CLOSENESS = [
   "modulus_margin", "sensitivity_peak_db", "disk_margin", "phase_margin_deg", "gain_margin_db",
   "gain_reduction_margin_db", "delay_margin_s", "complementary_peak_db",
 ];
-const SEVERITY: Record<Outcome, number> = { failed: 0, undecided: 1, passed: 2 };
 const RANK = { unstable: 0, undecided: 1, stable: 2 };
 
 /** First what is unstable or undecided, then where the worst row about -1 is missed, else what comes nearest to -1. */

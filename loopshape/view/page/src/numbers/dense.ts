@@ -233,13 +233,6 @@ export function addPole(out: Complex, f: Real, [rr, ri]: [number, number], [zr, 
   }
 }
 
-/** What narrow resonances add at one frequency in Hz. */
-export function narrowAt(point: Point, f: number): [number, number] {
-  const out = zeros(1);
-  for (const { residue, pole } of point.terms) addPole(out, Float64Array.of(f), residue, pole);
-  return [out.re[0], out.im[0]];
-}
-
 function termMoves(point: Point, f: Real, errors: Draws): Draws {
   const { count } = errors[0];
   const out = Array.from(f, () => Drawn.fresh(count));
