@@ -152,12 +152,10 @@ def __getattr__(name: str) -> Any:
     if name in boxes:
         return boxes[name]
     there = [f"loopshape.{box}.{name}" for box, names in boxes.items() if name in dir(names)]
-    hint = f"; there is {', '.join(there)}" if there else ""
-    if not hint:
-        from loopshape.core.errors import meant
+    from loopshape.core.errors import meant
 
-        hint = f"; {meant(name, __dir__())}".rstrip("; ")
-    raise AttributeError(f"module 'loopshape' has no attribute {name!r}{hint}")
+    hint = f"there is {', '.join(there)}" if there else meant(name, __dir__()).strip()
+    raise AttributeError(f"module 'loopshape' has no attribute {name!r}{'; ' * bool(hint)}{hint}")
 
 
 def _public(home: str, name: str, public: str) -> Any:

@@ -34,6 +34,7 @@ Count = Annotated[int, "a whole number from 0 on"]
 F = TypeVar("F", bound=Callable[..., Any])
 #: numbers from here on are none that anything can be computed with
 TOO_LARGE = 1e300
+_OWN = ("self", "cls")
 _NAMED = (inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY)
 _WORD_OF = {float: "a number", int: "a whole number", str: "a text", bool: "True or False", Path: "a path"}
 _TYPES: dict[type, Any] = {bool: bool | np.bool_, str: str, Path: PathLike}
@@ -178,8 +179,8 @@ def gated(function: F, public: str = "") -> F:
     def behind(*args: Any, **words: Any) -> Any:
         try:
             bound = signature.bind(*args, **words)
-        except TypeError:
-            raise _wrong_call(name, signature, args, words) from None
+        except TypeError as why:
+            raise _wrong_call(name, signature, words, why) from None
         hints = _hints(function)
         _pass(name, bound.arguments, hints, signature)
         bound.arguments.update({one: _plain(value, hints[one]) for one, value in bound.arguments.items()})
@@ -212,39 +213,25 @@ def _with_sentence(function: F, public: str) -> F:
             signature = inspect.signature(function)
             try:
                 signature.bind(*args, **words)
-            except TypeError:
-                raise _wrong_call(public, signature, args, words) from None
+            except TypeError as why:
+                raise _wrong_call(public, signature, words, why) from None
             raise  # from inside
 
     return called  # type: ignore[return-value]
 
 
-def _wrong_call(
-    whose: str, signature: inspect.Signature, args: tuple[Any, ...], words: Mapping[str, Any]
-) -> WrongCallError:
-    """What does not fit between a call and the arguments of a function."""
-    takes = [one.replace(annotation=one.empty) for one in signature.parameters.values()]
+def _wrong_call(whose: str, signature: inspect.Signature, words: Mapping[str, Any], why: TypeError) -> WrongCallError:
+    """What does not fit between a call and the arguments of a function: Python's words, and the right call."""
+    takes = [one.replace(annotation=one.empty) for name, one in signature.parameters.items() if name not in _OWN]
     takes = [one.replace(default=None) if isinstance(one.default, types.FunctionType) else one for one in takes]
-    if takes and takes[0].name in ("self", "cls"):
-        takes, args = takes[1:], args[1:]
     named = [one.name for one in takes if one.kind in _NAMED]
-    placed = [one.name for one in takes if one.kind is one.POSITIONAL_OR_KEYWORD]
-    call = f"{whose}{inspect.Signature(takes)}"
-    call = f"call {call}" if len(call) < 400 else f"help({whose}) lists its arguments"
-    strange = [one for one in words if one not in named]
-    if strange and not any(one.kind is one.VAR_KEYWORD for one in takes):
-        limits = "limits go into R=ls.Requirements(...); " if "R" in named else ""
-        return WrongCallError(
-            f"{whose} takes no argument {strange[0]!r}", way_out=(meant(strange[0], named) or limits) + call
-        )
-    if len(args) > len(placed):
-        return WrongCallError(f"{whose} takes {len(placed)} arguments by position", str(len(args)), call)
-    twice = [one for one in placed[: len(args)] if one in words]
-    if twice:
-        return WrongCallError(f"{twice[0]} of {whose} is given twice", "once by position, once by name", call)
-    missing = [one.name for one in takes if one.default is one.empty and one.kind in _NAMED and one.name not in words]
-    missing = [one for one in missing if one not in placed[: len(args)]]
-    return WrongCallError(f"{whose} needs {' and '.join(missing)}", ", ".join(words), call)
+    call = f"call {whose}{inspect.Signature(takes)}"
+    call = call if len(call) < 400 else f"help({whose}) lists its arguments"
+    open_ended = any(one.kind is one.VAR_KEYWORD for one in takes)
+    strange = next((one for one in words if one not in named and not open_ended), None)
+    limits = "limits go into R=ls.Requirements(...); " if strange and "R" in named else ""
+    what = f"got an unexpected keyword argument {strange!r}" if strange else why  # Python names what is missing first
+    return WrongCallError(f"{whose}: {what}", way_out=(meant(strange, named) or limits) + call)
 
 
 def _plain(value: Any, hint: Any) -> Any:

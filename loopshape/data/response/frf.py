@@ -195,11 +195,8 @@ class FRF:
         >>> ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01, rate_hz=1000.0)
         FRF: 100 frequencies, 0.5 to 200 Hz, 1 output x 1 input, rate 1000 Hz
         """
-        refuse_unknown_keys(
-            "an FRF has no such field",
-            words,
-            dict.fromkeys([*signature(cls.from_arrays).parameters][:-1] + [f.name for f in fields(cls)]),
-        )
+        known = dict.fromkeys([*signature(cls.from_arrays).parameters][:-1] + [f.name for f in fields(cls)])
+        refuse_unknown_keys("an FRF has no such field", words, known)
         arrays = stated_arrays(
             *lines_of(frequency_hz, omega_rad_s, response, magnitude_db, phase_deg),
             std=std, relative_std=relative_std, covariance=covariance, coherence=coherence, averages=averages,

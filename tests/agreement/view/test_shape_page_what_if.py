@@ -10,8 +10,7 @@ import pytest
 import shaped_cases
 
 import loopshape as ls
-from loopshape.data.requirement.requirements import LIMITS
-from loopshape.view.page.payload import controller_words
+from loopshape.view.page.payload import LIMITS, controller_words
 
 RATE_HZ = shaped_cases.RATE_HZ
 OLD = ls.controller(ls.gain(1.0), rate_hz=RATE_HZ, loop="x")
