@@ -33,7 +33,6 @@ CALLS = {
     lambda: ls.Run.from_arrays(u=F_HZ, y=F_HZ, fs=3.0): ("'fs'", "rate_hz"),
     lambda: ls.plot.bode(P, titel=""): ("ls.plot.bode", "'titel'"),
     lambda: ls.plot(P, titel=""): ("ls.plot", "'titel'"),
-    lambda: ls.gap(P, mdl=3): ("ls.gap.gap", "'mdl'"),
     lambda: ls.chek: ("did you mean 'check'?",),
     lambda: ls.Weihgt: ("did you mean 'Weight'?",),
 }  # fmt: skip
