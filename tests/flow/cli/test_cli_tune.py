@@ -78,6 +78,16 @@ def test_a_warm_start_alone_improves_and_says_what_it_moved(run):
     assert ls.read_controllers(out)[0].blocks[0].parameters["gain"] > 0.004
 
 
+def test_an_unstable_start_alone_that_leads_nowhere_says_to_try_others(run):
+    """With a gain of 1 the loop is unstable: nothing near it is stable, and the search from there ends where it began."""
+    away = (Block("gain", {"gain": 1.0}), Block("lead_lag", {"f1_hz": 50.0, "f2_hz": 5.0}))
+    out = run.parent / "made.toml"
+    words = ("tune", run, "--require", require(run), "--start", start_file(run, away), "--starts", 1, "--out", out)
+    told = " ".join(loopshape(*words, code=1).split())
+    assert "no stable controller was found from 1 start: try others beside it (--starts 16)" in told
+    assert loopshape(*words[:-4], "--starts", 4, "--out", out, code=0)
+
+
 def test_a_start_of_other_blocks_or_loops_is_refused(run):
     words = ("tune", run, "--require", require(run), "--out", run.parent / "made.toml", "--start")
     assert "does not fit the structure" in loopshape(*words, start_file(run, BLOCKS[:1]), code=2)
