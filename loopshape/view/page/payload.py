@@ -140,58 +140,31 @@ def limit_words(limit: Limit) -> dict[str, Any]:
 def _constants() -> dict[str, Any]:
     """Numbers of the formulas, from the modules that hold them."""
     return {
-        "half_width": TOL.half_width_std,
-        "below_ratios": low_end.BELOW_RATIOS.tolist(),
-        "extrapolated_below": low_end.EXTRAPOLATED_BELOW,
-        "far_below": low_end.SMALL,
-        "agree": TOL.integrators_agree,
-        "large": low_end.LARGE,
-        "at_zero": kernel.AT_ZERO,
-        "same": stability.SAME,
-        "least_damping": holes.LEAST_DAMPING,
-        "poor_damping": holes.POOR_DAMPING,
-        "radius_95": TOL.radius_95,
-        "wrong": TOL.wrong_count,
-        "uncertain_ratio": TOL.uncertain_ratio,
-        "peak": TOL.unseen_peak,
-        "scatter": TOL.scatter_std,
-        "on_it": obstacles.ON_IT,
-        **_numbers(between, "step small most wide far rounds"),
-        "between": dense.BETWEEN,
-        "fewest": dense.FEWEST,
-        "lowest": dense.LOWEST,
-        "steepest": dense.STEEPEST,
-        "degree": smoothing.USED,
-        "draws": smoothing.DRAWS,
-        "path_half_widths": between.PATH_HALF_WIDTHS.tolist(),
-        "places": PLACES.tolist(),
-        "sharpest": sampling.SHARPEST,
-        "fit_deg": stability.FIT_DEG,
-        "hole_fewest": holes.FEWEST,
-        "hole_apart": holes.APART,
-        "hole_turn": holes.TURN,
-        "hole_far": holes.FAR,
-        "detuning": _detuning_constants(),
-        "step_response": {"small": step_response.SMALL, "flat": step_response.FLAT, "longest": step_response.LONGEST},
-    }
+        "half_width": TOL.half_width_std, "agree": TOL.integrators_agree, "wrong": TOL.wrong_count,
+        "peak": TOL.unseen_peak, "scatter": TOL.scatter_std, "radius_95": TOL.radius_95,
+        "uncertain_ratio": TOL.uncertain_ratio, "far_below": low_end.SMALL, "degree": smoothing.USED,
+        "places": PLACES.tolist(), "draws": smoothing.DRAWS,
+        **_numbers(low_end, "below_ratios extrapolated_below large"),
+        **_numbers(kernel, "at_zero"),
+        **_numbers(stability, "same fit_deg"),
+        **_numbers(holes, "least_damping poor_damping"),
+        **{f"hole_{name}": x for name, x in _numbers(holes, "fewest apart turn far").items()},
+        **_numbers(obstacles, "on_it"),
+        **_numbers(between, "step small most wide far rounds path_half_widths"),
+        **_numbers(dense, "between fewest lowest steepest"),
+        **_numbers(sampling, "sharpest"),
+        "detuning": {
+            "searched": SEARCHED_PERCENT, "warned": WARNED_PERCENT, "draws": TOL.shifted_draws,
+            "half_width": TOL.half_width_shifted_std,
+            **_numbers(detuning, "coarse fine finest steps finest_step rounding outer fewer"),
+            **_numbers(shifted, "matters near"),
+        },
+        "step_response": _numbers(step_response, "small flat longest"),
+    }  # fmt: skip
 
 
 def _numbers(module: ModuleType, names: str) -> dict[str, Any]:
-    return {name: getattr(module, name.upper()) for name in names.split()}
-
-
-def _detuning_constants() -> dict[str, Any]:
-    return {
-        "searched": SEARCHED_PERCENT,
-        "warned": WARNED_PERCENT,
-        **_numbers(detuning, "coarse fine finest steps finest_step rounding"),
-        "outer": list(detuning.OUTER),
-        "fewer": list(detuning.FEWER),
-        "draws": TOL.shifted_draws,
-        "half_width": TOL.half_width_shifted_std,
-        "matters": shifted.MATTERS,
-        "near": shifted.NEAR.tolist(),
-    }
+    return {name: np.asarray(getattr(module, name.upper())).tolist() for name in names.split()}
 
 
 def _state(seed: int) -> dict[str, str]:
