@@ -109,3 +109,14 @@ def test_what_is_required_and_not_judged_is_named_and_keeps_the_verdict_open(
     assert f"Required and not judged on this page: {label}" in told
     assert "loopshape check" in told
     assert (after, hidden) == ("passed", True)
+
+
+def test_a_worst_case_that_nothing_bounds_is_a_word_as_in_check(context: Any, tmp_path: Path) -> None:
+    frfs = shaped_cases.plants("lag")
+    R = ls.Requirements("x", integrators=0, unstable_poles=0, phase_margin_deg=1.0, sensitivity_peak_db=6.0)
+    rows = [line for line in str(ls.check(frfs, OLD, R)).splitlines() if line.startswith(("phase_m", "sensitivity_p"))]
+    assert [row.split()[2] for row in rows] == ["undecided", "undecided"]
+    page = page_in_browser.opened(context, ls.shape(frfs, OLD, R, tmp_path / "shape.html"))
+    shown = page.locator("#requirements td.number b").all_inner_texts()
+    page.close()
+    assert shown == ["undecided", "undecided"]

@@ -96,9 +96,9 @@ export class RequirementTable {
   /** The verdict, then what is missed first. */
   private tellInShort({ rows, unstable }: Verdict, settled: boolean, outcome: Outcome | null): void {
     const lost = settled && unstable.length ? el("span", { class: "line failed" }, `not stable at ${unstable.length} of ${this.names.length}`) : "";
-    const short = WORST_FIRST.flatMap((word) => rows.filter((row) => row.outcome === word)).map(({ quantity, value, outcome: word }) => {
-      const limit = this.limits.find(({ name }) => name === quantity) as Limit;
-      return el("span", { class: `line ${word}` }, `${OUTCOMES[word][0]} ${limit.label} ${shown(value)} ${unit(limit)}`);
+    const short = WORST_FIRST.flatMap((word) => rows.filter((row) => row.outcome === word)).map((row) => {
+      const [word, limit] = [row.outcome, this.limits.find(({ name }) => name === row.quantity) as Limit];
+      return el("span", { class: `line ${word}` }, `${OUTCOMES[word][0]} ${limit.label} ${isKnown(row) ? `${shown(row.value)} ${unit(limit)}` : openWord(row)}`);
     });
     this.strip.replaceChildren(badge(outcome), lost, ...short);
     this.strip.classList.toggle("late", !settled);
@@ -132,8 +132,8 @@ export class RequirementTable {
     const small = known ? intervalWords(known) : "interval follows";
     const compare = before ? el("span", { class: "other" }, `B: ${shown(before.value)}`) : null;
     const best = limit.name === DETUNING && known ? known : row;
-    cells.found.replaceChildren(el("b", {}, `${best.is_bound ? "≥ " : ""}${shown(best.value)}`), ` ${unit(limit)}`, el("small", {}, small), compare ?? "");
-    cells.slack.textContent = shown(row.slack);
+    cells.found.replaceChildren(...(isKnown(best) || !settled ? [el("b", {}, `${best.is_bound ? "≥ " : ""}${shown(best.value)}`), ` ${unit(limit)}`] : [el("b", {}, openWord(best))]), el("small", {}, small), compare ?? "");
+    cells.slack.textContent = isKnown(row) ? shown(row.slack) : "–";
     const at = row.at_hz === null ? "" : `${shown(row.at_hz)} Hz`;
     const name = this.names[row.point];
     cells.place = [row.point, row.at_hz];
@@ -241,6 +241,10 @@ function intervalWords({ interval, bound, value }: Row): string {
   const ends = bound === null ? [low, high] : [Math.min(low, bound), Math.max(high, bound)];
   return `${ends.map(shown).join(" … ")}${bound === null ? "" : " (bound)"}`;
 }
+
+/** Whether a worst case is a number; what nothing bounds is none (Python: row_of of data/result/verdict_words.py). */
+const isKnown = ({ value, bound }: Row): boolean => Number.isFinite(value) || (!Number.isNaN(value) && bound === null);
+const openWord = ({ outcome }: Row): string => (outcome === "undecided" ? "undecided" : "no bound");
 
 const signOf = (limit: Limit): string => (limit.sense === "at_least" ? "≥" : "≤");
 
