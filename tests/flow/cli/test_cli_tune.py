@@ -79,7 +79,7 @@ def test_a_warm_start_alone_improves_and_says_what_it_moved(run):
 
 
 def test_an_unstable_start_alone_that_leads_nowhere_says_to_try_others(run):
-    """With a gain of 1 the loop is unstable: nothing near it is stable, and the search from there ends where it began."""
+    """A gain of 1 makes the loop unstable: nothing near it is stable, and the search ends where it began."""
     away = (Block("gain", {"gain": 1.0}), Block("lead_lag", {"f1_hz": 50.0, "f2_hz": 5.0}))
     out = run.parent / "made.toml"
     words = ("tune", run, "--require", require(run), "--start", start_file(run, away), "--starts", 1, "--out", out)
