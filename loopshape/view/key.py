@@ -10,19 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
-from scipy.spatial import KDTree
 
 from loopshape.core.units import TWO_PI, Array
 from loopshape.view.labels import numbers, point, quantity
 from loopshape.view.plots.curves import NOT_VALID
 from loopshape.view.style import COLOURS, MARKERS, MARKS, QUIET, shades, styled
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 
 class Placed(Protocol):
@@ -200,6 +202,8 @@ class LabelRoom:
         places = self._scale(np.column_stack([x, y]))
         inside = np.all((places > _EDGE_IN) & (places < self._size - _EDGE_IN), axis=1)
         if self._tree is None:
+            from scipy.spatial import KDTree
+
             self._tree = KDTree(self._held_in())
         return np.where(inside, self._tree.query(np.where(inside[:, None], places, 0.0))[0], -1.0)
 

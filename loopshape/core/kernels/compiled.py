@@ -110,7 +110,8 @@ class Kept:
         """Keep a compiled form; a folder that takes no more is no reason to stop. Forms of older source are removed."""
         if result.library.has_dynamic_globals:
             return
-        data = numba.core.serialize.dumps(result._reduce())
+        *parts, environments = result._reduce()  # numba's own hold nothing, and each would load the module it is of
+        data = numba.core.serialize.dumps((*parts, tuple(one for one in environments if one.consts)))
         try:
             _write_whole(self._path(signature, result.codegen), data)
             self._remove_older()

@@ -24,7 +24,6 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError, an, meant, refuse_unknown
-from loopshape.core.kernels.loops.flat_loops import series
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 
 Polynomial = tuple[float, float, float]  # coefficients of s^0, s^1, s^2
@@ -299,6 +298,8 @@ def _bounded_slope(section: Section, slope: Section) -> Section:
 
 def series_response(blocks: Sequence[Block], s: ComplexArray, *, bounded: bool = False) -> ComplexArray:
     """Response (...) of blocks in series at complex frequencies s (...); without integral terms where `bounded`."""
+    from loopshape.core.kernels.loops.flat_loops import series
+
     return series(coefficients(blocks, bounded=bounded), s.ravel()).reshape(s.shape)
 
 

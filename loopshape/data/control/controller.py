@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.gate import TOO_LARGE, pass_fields, received
-from loopshape.core.kernels import biquads
 from loopshape.core.units import TWO_PI, Array, ComplexArray, angular, db, deg
 from loopshape.data.arrays import rate
 from loopshape.data.control.block import BLOCK_KINDS, Block, Polynomial, Section, block_kind, series_response
@@ -216,6 +215,8 @@ class Controller:
         if self.precision == "double":
             own = series_response(self.blocks, s)
         else:
+            from loopshape.core.kernels import biquads
+
             own = biquads.response(self.biquads(), angular(frequency_hz) / self.rate_hz)
         return own * self.outside(frequency_hz) if self.computation_delay_s or self.added_hold else own
 
@@ -287,6 +288,8 @@ def step(controller: Controller, inputs: ArrayLike) -> np.ndarray:
     Floating point: float64, or float32 with every operation rounded. Fixed point: inputs and outputs are whole numbers
     (int64), in the target's own unit, clipped to `signal_limit`. Plain Python: for comparison, not for long simulation.
     """
+    from loopshape.core.kernels import biquads
+
     form, given = controller.number_format, np.asarray(inputs)
     if given.ndim != 1:
         raise WrongUseError("a controller steps through one signal (n,)", f"an array {given.shape}")

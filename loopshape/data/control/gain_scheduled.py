@@ -16,15 +16,18 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise, permutations, product
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.gate import pass_fields
-from loopshape.core.kernels.scheduled import Scheduled, interval, step
 from loopshape.core.units import UNITS, Array
 from loopshape.data.control.block import Block, Section
 from loopshape.data.control.controller import Controller, tustin
+
+if TYPE_CHECKING:
+    from loopshape.core.kernels.scheduled import Scheduled
 
 #: time constant in s of the lag behind which the scheduling variables act, where none is given
 LAG_S = 0.1
@@ -175,6 +178,8 @@ class GainScheduled:
 
         Without signals for what needs no variable.
         """
+        from loopshape.core.kernels.scheduled import Scheduled
+
         known = list(signals)
         picks = np.zeros((len(self.variables), len(known)))
         for k, v in enumerate(self.variables):
@@ -221,6 +226,8 @@ class GainScheduled:
 
     def _weights(self, at: Sequence[float]) -> dict[int, float]:
         """Weight of each node that counts at a place of the variables."""
+        from loopshape.core.kernels.scheduled import interval
+
         sides = []
         for v, value in zip(self.variables, at, strict=True):
             k, share = interval(np.array(v.knots), len(v.knots), value)
@@ -236,6 +243,8 @@ class GainScheduled:
 
 def _step_of(table: Scheduled, before: int, after: int) -> float:
     """Change of the output within a tick as one node's coefficients become another's, at a constant input of 1."""
+    from loopshape.core.kernels.scheduled import step
+
     value = 1.0
     table.past[0] = value
     for k, (b0, b1, b2, a0, a1, a2) in enumerate(table.sections[before]):

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from loopshape.core.kernels import smoothing as kernel
 from loopshape.core.units import Array, ComplexArray
 
 #: deviation of what lies between lines, as a share of how far a spline lies off straight lines there; and its seed
@@ -27,7 +26,9 @@ def by_draw(draws: ComplexArray) -> ComplexArray:
 
 def spread(draws: ComplexArray) -> tuple[Array, Array, Array]:
     """Root mean square (n,), standard deviation (n,) and neighbours' correlation (n - 1,) of draws (draws, n)."""
-    return kernel.spread(by_draw(draws))
+    from loopshape.core.kernels.smoothing import spread
+
+    return spread(by_draw(draws))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,8 @@ class Dense:
         business. Half of how far a spline lies off a straight line is taken for a deviation of its own, common to all
         places; it lies off it by no more than half of how far the response moves from line to line about there.
         """
+        from loopshape.core.kernels.smoothing import straight
+
         f, at = self.frequency_hz, frequency_hz
         k = np.clip(np.searchsorted(f, at, side="right") - 1, 0, f.size - 1)
         new = f[k] != at
@@ -67,7 +70,7 @@ class Dense:
             response[new], reference[new], before[new], after[new], off[new] = self._between(at[new], k[new])
         sides = np.random.default_rng(SEED).standard_normal((len(self.deviations), 2)) @ np.array([1.0, 1j])
         sides *= np.sqrt(2.0 / np.mean(np.abs(sides) ** 2))
-        deviations = kernel.straight(
+        deviations = straight(
             self.deviations.reshape(len(sides), f.size, -1), k, before, after, sides, off.reshape(at.size, -1)
         )
         return Dense(at, response, reference, deviations.reshape(len(sides), *response.shape))
@@ -117,14 +120,40 @@ def _curved(
     f: Array, values: ComplexArray, at: Array, k: np.ndarray, share: Array
 ) -> tuple[ComplexArray, ComplexArray]:
     """Values (n, ...) straight between lines, and how far a spline lies off that, at `share` of the k-th gaps."""
-    from scipy.interpolate import CubicSpline
-
     straight = values[k] * (1.0 - share) + values[k + 1] * share
     step = np.abs(np.diff(values, axis=0))
     about = np.maximum(step[np.maximum(k - 1, 0)], np.maximum(step[k], step[np.minimum(k + 1, f.size - 2)]))
-    off = CubicSpline(f, values)(at) - straight
+    off = _spline(f, values, at, k) - straight
     most = 0.5 * about
     return straight, np.asarray(off * most / np.maximum(np.abs(off), np.maximum(most, 1e-300)))
+
+
+def _spline(f: Array, values: ComplexArray, at: Array, k: np.ndarray) -> ComplexArray:
+    """The cubic spline through values (lines, ...), four lines at least, at places (n,) in the gaps k (n,).
+
+    No knot at the second and the last but one line; scipy's `CubicSpline` to the last bit, whose import takes longer
+    than all of a check's splines (de Boor, A Practical Guide to Splines, IV).
+    """
+    from scipy.linalg import solve_banded
+
+    y = values.reshape(f.size, -1)
+    h = np.diff(f)
+    wide, slope = h[:, None], np.diff(y, axis=0) / h[:, None]
+    bands, right = np.zeros((3, f.size)), np.empty_like(y)
+    bands[1, 1:-1], bands[0, 2:], bands[2, :-2] = 2.0 * (h[:-1] + h[1:]), h[:-1], h[1:]
+    right[1:-1] = 3.0 * (wide[1:] * slope[:-1] + wide[:-1] * slope[1:])
+    for end, near, step in ((0, 1, 1), (-1, -2, -1)):
+        two = abs(f[end + 2 * step] - f[end])
+        one, next_one = (0, 1) if step == 1 else (-1, -2)
+        bands[1, end], bands[1 - step, near] = h[next_one], two
+        right[end] = (
+            (wide[one] + 2.0 * two) * wide[next_one] * slope[one] + wide[one] ** 2 * slope[next_one]
+        ) / two
+    s = solve_banded((1, 1), bands, right)
+    bend = (s[:-1] + s[1:] - 2.0 * slope) / wide
+    z, each = (at - f[k])[:, None], [y[k], s[k], ((slope - s[:-1]) / wide - bend)[k], (bend / wide)[k]]
+    out = each[0] + each[1] * z + each[2] * (z * z) + each[3] * (z * z * z)
+    return np.asarray(out.reshape(at.size, *values.shape[1:]))
 
 
 @dataclass(frozen=True, eq=False)

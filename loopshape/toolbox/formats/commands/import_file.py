@@ -33,7 +33,6 @@ def import_file(
     with --accept the run is made from it, or from the one that is there already.
     """
     from loopshape.core.errors import WrongUseError
-    from loopshape.toolbox.formats.drafts.draft_map import refuse_draft_of_another
 
     output = Output(as_json, quiet)
     if (map_file is not None or accept) and out is None:
@@ -45,6 +44,8 @@ def import_file(
     if map_file is None:
         map_file = draft or Path(f"{file.name.split('.')[0]}.map.toml")
         if accept and map_file.exists():
+            from loopshape.toolbox.formats.drafts.draft_map import refuse_draft_of_another
+
             refuse_draft_of_another(map_file, file)
             output.say(f"map: {map_file}, written before")
         else:
