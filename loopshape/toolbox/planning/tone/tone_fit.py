@@ -7,10 +7,11 @@ neighbours. So few complex numbers hold all that the record says of the tone, wh
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from scipy.linalg import cholesky_banded, solve_banded
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray
 
@@ -39,16 +40,19 @@ class ToneFit:
 
     def signal(self) -> Array:
         """The tone (n,)."""
-        t = _middle_times(self.samples, self.rate_hz)
-        return np.asarray(2.0 * (self.phasor * np.exp((self.growth_per_s + 1j * TWO_PI * self.frequency_hz) * t)).real)
+        exponent = (self.growth_per_s + 1j * TWO_PI * self.frequency_hz) / self.rate_hz
+        row = math.isqrt(self.samples) + 1  # exp(a + b) = exp(a) exp(b): of rows and within them, not of each sample
+        within = np.exp(exponent * np.arange(row))
+        begin = 2.0 * self.phasor * np.exp(exponent * (row * np.arange(row) - 0.5 * (self.samples - 1)))
+        parts = np.column_stack([begin.real, -begin.imag]) @ np.vstack([within.real, within.imag])
+        return np.asarray(parts.ravel()[: self.samples])
 
 
 def fit_tone(values: Array, rate_hz: float, near_hz: float) -> ToneFit:
     """The tone of a signal (n,) within some lines of `near_hz`, n at least `BLOCKS` + 1."""
     hop = values.size // (BLOCKS + 1)
-    t = _middle_times(values.size, rate_hz)
-    z = _blocks(values * np.exp(-1j * TWO_PI * near_hz * t), hop)
-    time_s = t[0] + (hop * (np.arange(z.size) + 1.0) - 0.5) / rate_hz
+    z = _blocks(values, hop, -1j * TWO_PI * near_hz / rate_hz)
+    time_s = (hop * (np.arange(z.size) + 1.0) - 0.5 * values.size) / rate_hz
     c, growth, offset, jacobian, left = _exponential(z, time_s)
     freedom = 2 * z.size - 4
     spread = float(left @ left) / freedom * _correlation(left)
@@ -69,20 +73,19 @@ def fit_tone(values: Array, rate_hz: float, near_hz: float) -> ToneFit:
     )
 
 
-def _middle_times(samples: int, rate_hz: float) -> Array:
-    return np.asarray((np.arange(samples) - 0.5 * (samples - 1)) / rate_hz, dtype=float)
-
-
 def _hann(hop: int) -> Array:
     window = 0.5 - 0.5 * np.cos(np.pi * (np.arange(2 * hop) + 0.5) / hop)
     return np.asarray(window / window.sum(), dtype=float)
 
 
-def _blocks(shifted: ComplexArray, hop: int) -> ComplexArray:
-    """Weighted means of blocks of 2 hop samples that begin every hop."""
-    rows = shifted[: (BLOCKS + 1) * hop].reshape(BLOCKS + 1, hop)
-    window = _hann(hop)
-    return np.asarray(rows[:-1] @ window[:hop] + rows[1:] @ window[hop:])
+def _blocks(values: Array, hop: int, turn: complex) -> ComplexArray:
+    """Weighted means of blocks of 2 hop samples that begin every hop, of values times exp(turn k) about the middle."""
+    rows = values[: (BLOCKS + 1) * hop].reshape(BLOCKS + 1, hop)
+    halves = _hann(hop).reshape(2, hop) * np.exp(turn * np.arange(hop))
+    means = rows @ np.vstack([halves.real, halves.imag]).T
+    begin = np.exp(turn * (hop * np.arange(BLOCKS + 1) - 0.5 * (values.size - 1)))
+    first, second = begin[:, None].T * (means[:, :2] + 1j * means[:, 2:]).T
+    return np.asarray(first[:-1] + second[1:])
 
 
 def _block_gain(exponent_per_s: complex, hop: int, rate_hz: float) -> complex:
@@ -92,43 +95,48 @@ def _block_gain(exponent_per_s: complex, hop: int, rate_hz: float) -> complex:
 
 
 def _exponential(z: ComplexArray, t: Array) -> tuple[complex, float, float, Array, Array]:
-    """c, growth, offset in Hz of the least squares c exp((g + 2 pi i d)t) to z; Jacobian and what is left, whitened."""
-    from scipy.optimize import least_squares
+    """c, growth, offset in Hz of the least squares c exp((g + 2 pi i d)t) to z; Jacobian and what is left, whitened.
 
-    length = float(t[-1] - t[0])
-    overlap = 1.0 / 6.0
-    factor = cholesky_banded(np.vstack([np.ones(z.size), np.full(z.size, overlap)]), lower=True)
+    By Levenberg's and Marquardt's steps in g and d; c is the best for each (Golub and Pereyra, SIAM J. Numer. Anal. 10).
+    """
+    length, whiten = float(t[-1] - t[0]), _whitening()
+    target = whiten @ z
 
-    def white(columns: ComplexArray) -> ComplexArray:
-        return np.asarray(solve_banded((1, 0), factor, columns))
-
-    def basis(x: Array) -> ComplexArray:
-        return np.asarray(np.exp((x[0] / length + 1j * TWO_PI * x[1] / length) * t))
-
-    def parts(x: Array) -> tuple[complex, ComplexArray, ComplexArray]:
-        shape = basis(x)
-        whitened = white(shape)
+    def parts(x: Array) -> tuple[complex, Array, Array]:
+        shape = np.exp((x[0] + 1j * TWO_PI * x[1]) / length * t)
+        whitened = whiten @ shape
         c = complex(np.vdot(whitened, target) / np.vdot(whitened, whitened).real)
-        return c, shape, target - c * whitened
+        columns = whiten @ np.column_stack([shape, 1j * shape, c * t * shape, 1j * TWO_PI * c * t * shape])
+        return c, np.vstack([columns.real, columns.imag]), _flat(target - c * whitened)
 
-    def left(x: Array) -> Array:
-        return _flat(parts(x)[2])
-
-    target = white(z)
     # growth over the whole span from which a fit starts, in neper
-    starts = [np.array([g, _peak(z * np.exp(-g * t / length), length)]) for g in (-6.0, -2.0, 0.0, 2.0, 6.0)]
-    initial = min(starts, key=lambda x: float(np.sum(left(x) ** 2)))
-    x = least_squares(left, initial, method="lm", xtol=1e-10, ftol=1e-10, x_scale=(1.0, 0.3)).x
-    c, shape, missed = parts(x)
-    columns = white(np.column_stack([shape, 1j * shape, c * t * shape, 1j * TWO_PI * c * t * shape]))
-    return c, float(x[0] / length), float(x[1] / length), np.vstack([columns.real, columns.imag]), _flat(missed)
+    starts = [np.array([g, _peak(z * np.exp(-g * t / length))]) for g in (-6.0, -2.0, 0.0, 2.0, 6.0)]
+    x, (c, jacobian, left) = min(((x, parts(x)) for x in starts), key=lambda one: float(one[1][2] @ one[1][2]))
+    damping, most = 1e-3, 1e9  # of a step, relative to the Jacobian's own; above it no step is left
+    while damping < most:
+        normal = jacobian.T @ jacobian
+        step = length * np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), jacobian.T @ left)[0][2:]
+        tried = parts(x + step)
+        if tried[2] @ tried[2] < left @ left:
+            x, (c, jacobian, left), damping = x + step, tried, 0.1 * damping
+            damping = most if np.abs(step).max() < 1e-10 * (1.0 + np.abs(x).max()) else damping
+        else:
+            damping *= 10.0
+    return c, float(x[0] / length), float(x[1] / length), jacobian, left
+
+
+@cache
+def _whitening() -> Array:
+    """What makes blocks' noise white: the inverse of the Cholesky factor of its correlation (blocks, blocks)."""
+    overlap = np.diag(np.full(BLOCKS - 1, 1.0 / 6.0), 1)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(BLOCKS) + overlap + overlap.T)))
 
 
 def _flat(values: ComplexArray) -> Array:
     return np.concatenate([values.real, values.imag])
 
 
-def _peak(z: ComplexArray, length: float) -> float:
+def _peak(z: ComplexArray) -> float:
     """Where the spectrum of z is largest, in periods over its length."""
     padded = 8 * z.size
     k = int(np.argmax(np.abs(np.fft.fft(z, padded))))
