@@ -123,12 +123,12 @@ def _curved(
     straight = values[k] * (1.0 - share) + values[k + 1] * share
     step = np.abs(np.diff(values, axis=0))
     about = np.maximum(step[np.maximum(k - 1, 0)], np.maximum(step[k], step[np.minimum(k + 1, f.size - 2)]))
-    off = _spline(f, values, at, k) - straight
+    off = spline(f, values, at, k) - straight
     most = 0.5 * about
     return straight, np.asarray(off * most / np.maximum(np.abs(off), np.maximum(most, 1e-300)))
 
 
-def _spline(f: Array, values: ComplexArray, at: Array, k: np.ndarray) -> ComplexArray:
+def spline(f: Array, values: ComplexArray, at: Array, k: np.ndarray) -> ComplexArray:
     """The cubic spline through values (lines, ...), four lines at least, at places (n,) in the gaps k (n,).
 
     No knot at the second and the last but one line; scipy's `CubicSpline` to the last bit, whose import takes longer
