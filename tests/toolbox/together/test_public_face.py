@@ -116,7 +116,7 @@ except SystemExit:
 def test_each_command_of_the_tour_loads_what_it_needs(tmp_path: Path) -> None:
     """Each of these packages takes a tenth of a second to load, or several."""
     bench = ROOT / "examples" / "motor_bench"
-    controller = tmp_path / "controller.toml"
+    controller, require = tmp_path / "controller.toml", str(bench / "requirements.toml")
     controller.write_text(CONTROLLER)
     never = ["scipy.stats", "scipy.signal", "scipy.interpolate", "pandas", "matplotlib", "control"]
     compiler = ["numba.np.arrayobj", "numba.np.arraymath"]
@@ -124,7 +124,7 @@ def test_each_command_of_the_tour_loads_what_it_needs(tmp_path: Path) -> None:
         (["import", str(bench / "multisine_type_a.parquet"), "--map", str(bench / "map.toml")], ["numba", "scipy"]),
         (["frf", "bench", "--no-figures"], [*compiler, "scipy.optimize"]),
         (["fit", "bench", "--structure", "rational", "--numerator", "2", "--denominator", "4"], ["numba"]),
-        (["check", "bench", str(controller), "--require", str(bench / "requirements.toml"), "--no-figures"], [*compiler, "scipy.optimize"]),
+        (["check", "bench", str(controller), "--require", require, "--no-figures"], [*compiler, "scipy.optimize"]),
     ):
         words = command + (["--out", "bench"] if command[0] == "import" else [])
         code = f"""

@@ -97,7 +97,7 @@ def _block_gain(exponent_per_s: complex, hop: int, rate_hz: float) -> complex:
 def _exponential(z: ComplexArray, t: Array) -> tuple[complex, float, float, Array, Array]:
     """c, growth, offset in Hz of the least squares c exp((g + 2 pi i d)t) to z; Jacobian and what is left, whitened.
 
-    By Levenberg's and Marquardt's steps in g and d; c is the best for each (Golub and Pereyra, SIAM J. Numer. Anal. 10).
+    By Levenberg's and Marquardt's steps in g and d; c is the best for each (Golub and Pereyra, 1973).
     """
     length, whiten = float(t[-1] - t[0]), _whitening()
     target = whiten @ z
