@@ -144,9 +144,8 @@ def spline(f: Array, values: ComplexArray, at: Array, k: np.ndarray) -> ComplexA
     right[1:-1] = 3.0 * (wide[1:] * slope[:-1] + wide[:-1] * slope[1:])
     for end, near, step in ((0, 1, 1), (-1, -2, -1)):
         two = abs(f[end + 2 * step] - f[end])
-        one, next_one = (0, 1) if step == 1 else (-1, -2)
-        bands[1, end], bands[1 - step, near] = h[next_one], two
-        right[end] = ((wide[one] + 2.0 * two) * wide[next_one] * slope[one] + wide[one] ** 2 * slope[next_one]) / two
+        bands[1, end], bands[1 - step, near] = h[near], two
+        right[end] = ((wide[end] + 2.0 * two) * wide[near] * slope[end] + wide[end] ** 2 * slope[near]) / two
     s = solve_banded((1, 1), bands, right)
     bend = (s[:-1] + s[1:] - 2.0 * slope) / wide
     z, each = (at - f[k])[:, None], [y[k], s[k], ((slope - s[:-1]) / wide - bend)[k], (bend / wide)[k]]

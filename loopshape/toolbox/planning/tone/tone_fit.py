@@ -52,7 +52,7 @@ def fit_tone(values: Array, rate_hz: float, near_hz: float) -> ToneFit:
     """The tone of a signal (n,) within some lines of `near_hz`, n at least `BLOCKS` + 1."""
     hop = values.size // (BLOCKS + 1)
     z = _blocks(values, hop, -1j * TWO_PI * near_hz / rate_hz)
-    time_s = (hop * (np.arange(z.size) + 1.0) - 0.5 * values.size) / rate_hz
+    time_s = np.asarray((hop * (np.arange(z.size) + 1.0) - 0.5 * values.size) / rate_hz, dtype=float)
     c, growth, offset, jacobian, left = _exponential(z, time_s)
     freedom = 2 * z.size - 4
     spread = float(left @ left) / freedom * _correlation(left)
