@@ -43,8 +43,8 @@ class ToneFit:
         exponent = (self.growth_per_s + 1j * TWO_PI * self.frequency_hz) / self.rate_hz
         row = math.isqrt(self.samples) + 1  # exp(a + b) = exp(a) exp(b): of rows and within them, not of each sample
         within = np.exp(exponent * np.arange(row))
-        begin = 2.0 * self.phasor * np.exp(exponent * (row * np.arange(row) - 0.5 * (self.samples - 1)))
-        parts = np.column_stack([begin.real, -begin.imag]) @ np.vstack([within.real, within.imag])
+        initial = 2.0 * self.phasor * np.exp(exponent * (row * np.arange(row) - 0.5 * (self.samples - 1)))
+        parts = np.column_stack([initial.real, -initial.imag]) @ np.vstack([within.real, within.imag])
         return np.asarray(parts.ravel()[: self.samples])
 
 
@@ -83,8 +83,8 @@ def _blocks(values: Array, hop: int, turn: complex) -> ComplexArray:
     rows = values[: (BLOCKS + 1) * hop].reshape(BLOCKS + 1, hop)
     halves = _hann(hop).reshape(2, hop) * np.exp(turn * np.arange(hop))
     means = rows @ np.vstack([halves.real, halves.imag]).T
-    begin = np.exp(turn * (hop * np.arange(BLOCKS + 1) - 0.5 * (values.size - 1)))
-    first, second = begin[:, None].T * (means[:, :2] + 1j * means[:, 2:]).T
+    initial = np.exp(turn * (hop * np.arange(BLOCKS + 1) - 0.5 * (values.size - 1)))
+    first, second = initial[:, None].T * (means[:, :2] + 1j * means[:, 2:]).T
     return np.asarray(first[:-1] + second[1:])
 
 
