@@ -29,7 +29,7 @@ from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
-from loopshape.toolbox.rig.excitation_sets import orthogonal
+from loopshape.toolbox.rig.files.excitation_sets import orthogonal
 
 BAND_HZ = (1.0, 15.0)
 PLACES = {"control": "open", "controller_input": "closed, n at the controller", "plant_input": "closed, n at the plant"}

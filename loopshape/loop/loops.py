@@ -206,10 +206,11 @@ def _open_loop_poles(
     elif frf.open_loop:
         unstable, reason = 0, "because it was recorded in open loop"
     elif fit is not None and fit.sufficient:
-        unstable, reason = unstable_by_fit(fit), "from its fit"
-        if unstable is None:
+        counted, reason = unstable_by_fit(fit), "from its fit"
+        if counted is None:
             said = f"the fit of {frf.recording} has unstable poles that its frequencies do not decide"
             return integrators, None, f"{note + '; ' if note else ''}{said}: declare unstable_poles"
+        unstable = counted
     else:
         return integrators, None, note
     if unstable:

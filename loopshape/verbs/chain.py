@@ -387,8 +387,17 @@ def predict(
     from loopshape.loop.predict.prediction import predict as predict_loops
 
     own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,))]
-    poles = {} if R is None else {"integrators": R.integrators, "unstable_poles": R.unstable_poles}
-    return tuple(predict_loops(plants_of(P), own, tuple(fits), **poles, seed=seed))
+    poles = R or Requirements()
+    return tuple(
+        predict_loops(
+            plants_of(P),
+            own,
+            tuple(fits),
+            integrators=poles.integrators,
+            unstable_poles=poles.unstable_poles,
+            seed=seed,
+        )
+    )
 
 
 @overload

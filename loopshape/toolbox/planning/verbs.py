@@ -20,7 +20,7 @@ from loopshape.toolbox.planning.plan import plan as plan_from
 from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import first_record
 from loopshape.toolbox.rig import registry
-from loopshape.toolbox.rig.excitation_sets import realised
+from loopshape.toolbox.rig.files.excitation_sets import realised
 from loopshape.toolbox.rig.simulated import plan as doable
 from loopshape.toolbox.rig.steps.enough import Look, Until, look, until_of
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study

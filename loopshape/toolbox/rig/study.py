@@ -12,7 +12,7 @@ from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.signal.excitation import Excitation, Profile, Sampled, Staircase
 from loopshape.data.signal.experiment import ExperimentSettings, LoopSetup
 from loopshape.toolbox.diagrams.wired import Wired
-from loopshape.toolbox.rig.excitation_sets import MOST_REALISATIONS, realised, together
+from loopshape.toolbox.rig.files.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.steps.escalation import Escalation
 

@@ -85,8 +85,8 @@ def _fits_of(models: Sequence[FittedModel]) -> list[Markup]:
         found = {mode.name: _estimate(mode) for mode in (*_readable(one.fit), *one.modes)}
         cells = [found.get(name, Cell(DASH, float("nan"))) for name in shown]
         enough = "yes" if one.fit.sufficient else "no"
-        quality = [figure(one.fit.misfit_db), figure(one.fit.chi2_per_dof), enough, _ended(one.fit)]
-        rows.append([_head(one.fit), *cells, *quality])
+        quality = (figure(one.fit.misfit_db), figure(one.fit.chi2_per_dof))
+        rows.append([_head(one.fit), *cells, *quality, enough, _ended(one.fit)])
     caption = f"Fits of loop {first.loop}, structure {first.structure}: value, and below it the 95 % interval"
     made = [table(caption, columns, rows, sortable=len(rows) > 1)]
     bare = [p.name for p in first.parameters if p.unit == "SI"]

@@ -13,7 +13,7 @@ from loopshape.identify.frequency_response import estimate_frf, estimate_realisa
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required
 from loopshape.toolbox.planning.plan_record import first_record
-from loopshape.toolbox.rig.excitation_sets import realised
+from loopshape.toolbox.rig.files.excitation_sets import realised
 
 AT_HZ, STD, REPEATS = 6.0, 0.01, 60
 FIRSTS = {

@@ -31,7 +31,7 @@ from loopshape.data.signal.excitation import (
 )
 from loopshape.io.config_table import ConfigTable, said_in
 from loopshape.io.schema import read
-from loopshape.toolbox.rig.excitation_sets import LOOP_STEP
+from loopshape.toolbox.rig.files.excitation_sets import LOOP_STEP
 from loopshape.toolbox.rig.study import Setpoint
 
 _EXCITATIONS: dict[str, type[Sweep | Multisine | Prbs | BandNoise]] = {

@@ -53,7 +53,7 @@ from loopshape.io.provenance import file_sha256
 from loopshape.io.run.run_tables import SCHEDULE_KEYS, Schedule, read_loops
 from loopshape.io.schema import read
 from loopshape.toolbox.learning.files import read_feedforward
-from loopshape.toolbox.rig.excitation_sets import together
+from loopshape.toolbox.rig.files.excitation_sets import together
 from loopshape.toolbox.rig.files.signals import read_excitation, read_excitations, read_setpoints
 from loopshape.toolbox.rig.files.target import read_escalation, read_limits, read_target
 from loopshape.toolbox.rig.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded

@@ -7,7 +7,7 @@ import pytest
 from bench_nouns import BandNoise, Block, Experiment, LoopSetup, Multisine, Prbs, Sweep
 
 import loopshape as ls
-from loopshape.toolbox.rig.excitation_sets import realised, together
+from loopshape.toolbox.rig.files.excitation_sets import realised, together
 from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 
 ONE = Multisine(0.5, 20.0, 4.0, 1.0)

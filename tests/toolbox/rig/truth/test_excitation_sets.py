@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from bench_nouns import BandNoise, Multisine
 
-from loopshape.toolbox.rig.excitation_sets import orthogonal, realised, together, turns
+from loopshape.toolbox.rig.files.excitation_sets import orthogonal, realised, together, turns
 from loopshape.toolbox.rig.study import ExperimentTemplate, expanded
 
 RATE_HZ = 500.0
