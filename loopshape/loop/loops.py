@@ -208,8 +208,8 @@ def _open_loop_poles(
     elif fit is not None and fit.sufficient:
         counted, reason = unstable_by_fit(fit), "from its fit"
         if counted is None:
-            said = f"the fit of {frf.recording} has unstable poles that its frequencies do not decide"
-            return integrators, None, f"{note + '; ' if note else ''}{said}: declare unstable_poles"
+            unclear = f"the fit of {frf.recording} has unstable poles that its frequencies do not decide"
+            return integrators, None, f"{note + '; ' if note else ''}{unclear}: declare unstable_poles"
         unstable = counted
     else:
         return integrators, None, note
