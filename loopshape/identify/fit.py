@@ -78,8 +78,8 @@ def fit(
             f"too few frequencies to fit {structure.name}", f"{f.size} lines for {len(structure.names)} parameters"
         )
     if isinstance(structure, Rational):
-        stable = (structure.stable or frf.open_loop) if stable is None else stable
-        structure = replace(structure, w0=TWO_PI * float(np.exp(np.mean(np.log(f)))), stable=stable)
+        wanted = (structure.stable or frf.open_loop) if stable is None else stable
+        structure = replace(structure, w0=TWO_PI * float(np.exp(np.mean(np.log(f)))), stable=wanted)
     weight_variance = variance if weighting == "variance" else (0.01 * np.abs(G)) ** 2
     low, high = structure.bounds()
     weights = [1.0 / np.sqrt(x) for x in ((variance,) if weighting == "variance" else (weight_variance, variance))]

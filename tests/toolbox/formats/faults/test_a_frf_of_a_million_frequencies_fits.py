@@ -9,7 +9,7 @@ from bench_nouns import Block
 from memory_limit import in_a_child
 
 import loopshape as ls
-from loopshape.loop.stability.sampling import scattered
+from loopshape.loop.stability.sampling import between_lines
 from loopshape.toolbox.formats.frf.frf_exchange import add_frfs
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="limits are set as Linux has them")
@@ -68,7 +68,7 @@ def most_bytes_of(n):
     f = np.linspace(1.0, 1000.0, n)
     P = 1.0 / (1.0 + 1j * f / 30.0)
     tracemalloc.start()
-    scattered(f, P, (1e-3 * np.abs(P)) ** 2)
+    between_lines(f, P, (1e-3 * np.abs(P)) ** 2)
     _, most = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     return most
