@@ -46,13 +46,14 @@ def fit(
     band_hz: tuple[float, float] | None = None,
     stable: bool | None = None,
     hopeless: float = np.inf,
+    lenient: bool = False,
 ) -> Fit:
     """Fit a structure to the valid lines of a 1 x 1 FRF, or to those in `band_hz`.
 
     With `stable` the poles of a rational structure, those at zero apart, lie in the left half plane. None asks for it
-    of an FRF that was recorded in open loop, where an unstable plant would not have stayed within its range, and where
-    the unstable poles come out above the lines (there they stand for a hold, a delay or modes, as stable ones do), or
-    below them without need.
+    of an FRF that was recorded in open loop, where an unstable plant would not have stayed within its range, and,
+    unless `lenient`, where stable poles do as well: those above the lines stand for a hold, a delay or modes, and a
+    pole beside a zero for noise.
 
     `variance` weights each line by its own variance: parameters of least spread if the structure is right.
     `relative` weights by 1/|G|: a fair compromise over the band where no low-order model is right; then the
@@ -91,12 +92,18 @@ def fit(
     else:
         solution = solve(lambda x: structure.model(x).response(f), starts, (low, high), data, weight_variance)
     made = _fit(structure, solution, lines, frf.digest)
-    unstable_hz, (first_hz, last_hz) = made.model.unstable_hz(), made.band_hz
-    if stable is None and unstable_hz.size and np.all((unstable_hz < first_hz) | (unstable_hz > last_hz)):
+    if stable is None and not lenient and made.model.unstable_poles():
         again = fit(frf, structure, weighting=weighting, band_hz=band_hz, stable=True)
-        if unstable_hz.max() > last_hz or again.sufficient or not made.sufficient:
-            return again
+        return again if _does_as_well(frf, again, made) else made
     return made
+
+
+def _does_as_well(frf: FRF, stable: Fit, unstable: Fit) -> bool:
+    """Whether lines need no unstable poles: stable ones leave but noise, or as much, and all lie outside the lines."""
+    if stable.sufficient:
+        return _criterion(frf, stable) <= _criterion(frf, unstable) + TOL.very_strong
+    unstable_hz, (first_hz, last_hz) = unstable.model.unstable_hz(), unstable.band_hz
+    return not unstable.sufficient and bool(np.all((unstable_hz < first_hz) | (unstable_hz > last_hz)))
 
 
 def _starts(structure: Structure, f: Array, G: ComplexArray, weights: Sequence[Array]) -> list[Array]:
@@ -199,20 +206,22 @@ def _fitted(
     made = [*known]
     for structure in reversed(structures):  # the richest first: most others come nowhere near
         with suppress(TooFarError):
-            made.insert(0, fit(frf, structure, weighting=weighting, hopeless=hopeless(), **options))
+            made.insert(0, fit(frf, structure, weighting=weighting, hopeless=hopeless(), lenient=True, **options))
     return made
 
 
-def _simplest(frf: FRF, made: Sequence[Fit]) -> Fit:
-    def criterion(found: Fit) -> float:
-        count = len(found.parameters)
-        total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
-        return total + count * float(np.log(2 * found.lines / frf.line_overlap))
+def _criterion(frf: FRF, found: Fit) -> float:
+    """Schwarz's, of lines that share their errors."""
+    count = len(found.parameters)
+    total = found.chi2_per_dof * (2 * found.lines - count) / frf.line_overlap
+    return total + count * float(np.log(2 * found.lines / frf.line_overlap))
 
+
+def _simplest(frf: FRF, made: Sequence[Fit]) -> Fit:
     good = [found for found in made if found.converged] or made
-    least = min(criterion(found) for found in good)
-    near = [found for found in good if criterion(found) <= least + 10.0]
-    return min(near, key=lambda found: (len(found.parameters), criterion(found)))
+    least = min(_criterion(frf, found) for found in good)
+    near = [found for found in good if _criterion(frf, found) <= least + TOL.very_strong]
+    return min(near, key=lambda found: (len(found.parameters), _criterion(frf, found)))
 
 
 def fit_automatically(
@@ -231,7 +240,16 @@ def fit_automatically(
         return best
     orders = [(n, d, k) for d in (2, 3, 4) for n in range(min(d, 3)) for k in (0, 1, 2) if k < d]
     rational = [Rational(n, d, k, delay=True) for n, d, k in orders]
-    return _simplest(frf, _fitted(frf, rational, named, weighting=weighting, band_hz=band_hz, stable=stable))
+    made = _fitted(frf, rational, named, weighting=weighting, band_hz=band_hz, stable=stable)
+    by_name = {structure.name: structure for structure in rational}
+    best = _simplest(frf, made)
+    while stable is None and best.structure in by_name and best.model.unstable_poles():
+        again = fit(frf, by_name[best.structure], weighting=weighting, band_hz=band_hz, stable=True)
+        if not _does_as_well(frf, again, best):
+            break
+        made = [again if one is best else one for one in made]
+        best = _simplest(frf, made)
+    return best
 
 
 def modes(found: Fit) -> tuple[Estimate, ...]:

@@ -57,6 +57,8 @@ class Tolerances(NamedTuple):
     #: misfit that noise leaves at most in 99.9 % of windows; more is rounding off, and counts so many times
     noise_misfit: float = 3.3
     rounding_counts: float = 10.0
+    #: difference of Schwarz's criterion that is very strong evidence for the richer model (Kass and Raftery 1995)
+    very_strong: float = 10.0
     #: probability beyond each end of a two-sided 95 % interval
     tail: float = 0.025
     #: nearer to zero than this a factor has no known phase, and its correlation with others counts as if it hurt; from
