@@ -5,9 +5,11 @@ Nothing of weight is loaded with it: here the program begins.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.interrupts import ENDED, ended_soon, interrupted, say_once
@@ -33,9 +35,10 @@ def guarded(program: Callable[[], None]) -> None:
     except BaseException:
         if not interrupted():
             raise
-        exec("")  # Python notes an interrupt within `exec`, as dataclasses use it, and ends by the signal; undone
         say_once(INTERRUPTED)
-        raise SystemExit(ENDED) from None
+        with suppress(OSError, ValueError):
+            sys.stdout.flush()
+        os._exit(ENDED)  # threads may be in compiled code still: Python's own end beside them was seen to abort
 
 
 def _clean() -> None:

@@ -76,6 +76,7 @@ def record(kind, seed):
 
 
 @pytest.mark.long
+@pytest.mark.hour
 def test_at_most_3_of_300_records_in_open_loop_grow_or_are_called_closed():
     wrong = []
     for kind in EXCITATIONS:

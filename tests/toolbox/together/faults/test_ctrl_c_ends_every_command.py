@@ -148,7 +148,11 @@ def test_an_interrupt_that_falls_into_a_callback_ends_the_program_all_the_same()
 @pytest.mark.long
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    "name", [pytest.param(x, marks=pytest.mark.hour) if x in ("gap", "fit") else x for x in commands(EXAMPLES)]
+    "name",
+    [
+        pytest.param(x, marks=pytest.mark.hour) if x in ("gap", "fit", "demo", "campaign") else x
+        for x in commands(EXAMPLES)
+    ],
 )
 def test_an_interrupted_command_ends_soon_and_leaves_nothing_half(whole, tmp_path, name):
     folder = made_from(whole, tmp_path / "work")

@@ -205,6 +205,6 @@ def test_some_mutations_of_every_kind_of_file(area):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("file", READ)
+@pytest.mark.parametrize("file", [pytest.param(x, marks=pytest.mark.hour) if x.endswith("mf4") else x for x in READ])
 def test_mutations_of_a_kind_of_file(area, file):
     assert tried(area, [(file, seed) for seed in LONG[file]]) == []
