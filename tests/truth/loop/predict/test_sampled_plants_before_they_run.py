@@ -62,6 +62,19 @@ def test_a_fit_makes_no_stable_plant_unstable(name):
         assert ls.predict(P, C, fits=[fit])[0].stability != "unstable"
 
 
+def test_a_pole_beside_a_zero_that_follows_noise_is_no_unstable_pole():
+    """With as many poles as four, noise of 5 % buys an unstable one amid the lines; stable ones do as well."""
+    b, a = sampled(FIRST_ORDER)
+    C = controlled(b, a, 4.0, 1.0)
+    for seed in (1, 13, 25, 33):
+        P = measured(b, a, np.random.default_rng(seed), first_hz=0.2, lines=100, std=0.05)
+        orders = {"numerator": 1, "denominator": 4, "delay": True}
+        assert min(ls.fit(P, "rational", **orders, stable=False).model.unstable_hz()) < 450.0
+        fit = ls.fit(P, "rational", **orders)
+        assert fit.model.unstable_poles() == 0
+        assert ls.check(P, C, fits=[fit]).outcome != "failed"
+
+
 def test_an_unstable_pole_between_the_lines_still_counts():
     b, a = sampled(([150.0], [1.0, 0.0, -150.0]), delay=0)  # 1.95 Hz
     P = measured(b, a, np.random.default_rng(4), lines=200, std=0.05)
@@ -78,7 +91,7 @@ def test_a_slow_tail_widens_the_step_or_is_no_step():
     """A zero of the controller far below the crossover leaves a tail that is longer than the lowest line's period."""
     rng, steps = np.random.default_rng(5), 0
     R = ls.Requirements(integrators=0, unstable_poles=0)
-    for zero_hz in (0.02, 0.05, 0.1, 0.3, 1.0, 3.0):
+    for zero_hz in (0.02, 0.1, 0.3, 0.5, 1.0, 3.0):
         for name, plant in PLANTS.items():
             b, a = sampled(plant)
             P, C = measured(b, a, rng, lines=300, std=0.002), controlled(b, a, 8.0, zero_hz)
