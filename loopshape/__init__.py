@@ -8,7 +8,7 @@
     v = ls.check(P, C, R)
 
 Names are loaded when they are first used; `dir(loopshape)` lists them. What stands beside this bench is found by its
-toolbox: `ls.rig.measure`, `ls.diagrams.cascade`, `ls.gap(run)`, which is `ls.gap.gap`.
+toolbox: `ls.rig.measure`, `ls.diagrams.cascade`, `ls.gap(run)`, which is `ls.gap.gap`, and `ls.report` of the pages.
 """
 
 from __future__ import annotations
@@ -59,6 +59,8 @@ if TYPE_CHECKING:
     from loopshape.toolbox import planning as planning
     from loopshape.toolbox import rig as rig
     from loopshape.toolbox import schedules as schedules
+    from loopshape.toolbox.pages.verbs import report as report
+    from loopshape.toolbox.pages.verbs import shape as shape
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import compare as compare
     from loopshape.verbs.chain import fit as fit
@@ -66,7 +68,6 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import frfs as frfs
     from loopshape.verbs.chain import interaction as interaction
     from loopshape.verbs.chain import predict as predict
-    from loopshape.verbs.chain import shape as shape
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.estimates import estimate as estimate
     from loopshape.verbs.estimates import frf_matrices as frf_matrices
@@ -74,7 +75,6 @@ if TYPE_CHECKING:
     from loopshape.verbs.files import read as read
     from loopshape.verbs.files import read_controllers as read_controllers
     from loopshape.verbs.files import read_requirements as read_requirements
-    from loopshape.verbs.files import report as report
     from loopshape.verbs.files import write as write
     from loopshape.view.plot import plot as plot
 
@@ -129,9 +129,7 @@ _HOME = {
     "read": "verbs.files",
     "read_controllers": "verbs.files",
     "read_requirements": "verbs.files",
-    "report": "verbs.files",
     "resonator": "data.control.shorthand",
-    "shape": "verbs.chain",
     "to_control": "data.response.control_frd",
     "tune": "verbs.chain",
     "write": "verbs.files",
@@ -151,6 +149,8 @@ def __getattr__(name: str) -> Any:
     boxes = _toolboxes()
     if name in boxes:
         return boxes[name]
+    if name in _face():
+        return _public(_face()[name], name, f"ls.{name}")
     there = [f"loopshape.{box}.{name}" for box, names in boxes.items() if name in dir(names)]
     from loopshape.core.errors import meant
 
@@ -230,5 +230,12 @@ def _toolboxes() -> dict[str, _Names]:
     return made | {"errors": _Names("errors", "Kinds of LoopshapeError", _ERRORS)}
 
 
+@cache
+def _face() -> dict[str, str]:
+    from loopshape.core.toolboxes import found
+
+    return found().all("face")
+
+
 def __dir__() -> list[str]:
-    return sorted(["__version__", *_HOME, *_toolboxes()])
+    return sorted(["__version__", *_HOME, *_face(), *_toolboxes()])

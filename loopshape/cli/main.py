@@ -32,12 +32,10 @@ OWN = (
     ("Estimate", "estimate.interaction", "interaction runs/arm2", 30),
     ("Estimate", "estimate.figures", "figures runs/axis --controller controller.toml", 60),
     ("Design", "design.tune", "tune runs/axis --require requirements.toml --out controller.toml", 10),
-    ("Design", "design.shape", "shape runs/axis --require requirements.toml --out shape.html", 20),
     ("Design", "design.profiles", "profiles --out mine.toml", 40),
     ("Verify", "verify.check", "check runs/axis controller.toml --require requirements.toml", 10),
     ("Verify", "verify.predict", "predict runs/axis controller.toml --out prediction.npz", 20),
     ("Verify", "verify.compare", "compare runs/after prediction.npz", 30),
-    ("Verify", "verify.report", "report runs/axis --controller controller.toml --require requirements.toml", 40),
     ("Verify", "verify.verify", "verify runs/axis", 50),
 )
 

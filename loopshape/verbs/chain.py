@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
     from loopshape.loop.predict.remeasured import Remeasured
-    from loopshape.view.page.widget import ShapeWidget
 
 
 def frfs(
@@ -307,64 +306,6 @@ def point_disturbances(
     if isinstance(given, Run | str | Path):
         return disturbances_in(given if isinstance(given, Run) else read(given), *loops)
     return tuple(given)
-
-
-@overload
-def shape(
-    P: Plants | Mapping[str, FRF], C: Controller | Tuning | Sequence[Controller] | None = None,
-    R: Requirements | Sequence[Requirements] | None = None, out: str | Path = "shape.html", *,
-    fits: Sequence[Fit] = (), together: Requirements | None = None,
-    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
-) -> Path: ...  # fmt: skip
-
-
-@overload
-def shape(
-    P: Plants | Mapping[str, FRF], C: Controller | Tuning | Sequence[Controller] | None,
-    R: Requirements | Sequence[Requirements] | None, out: None, *,
-    fits: Sequence[Fit] = (), together: Requirements | None = None,
-    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
-) -> ShapeWidget: ...  # fmt: skip
-
-
-def shape(
-    P: Plants | Mapping[str, FRF], C: Controller | Tuning | Sequence[Controller] | None = None,
-    R: Requirements | Sequence[Requirements] | None = None, out: str | Path | None = "shape.html", *,
-    fits: Sequence[Fit] = (), together: Requirements | None = None,
-    disturbance: Disturbance | Run | str | Path | Sequence[Disturbance] | None = None,
-) -> Path | ShapeWidget:  # fmt: skip
-    """Write the page on which a loop is shaped by hand: one HTML file that works offline; gives its path.
-
-    With None for `out` it is a widget instead, for the cell of a notebook (extra `notebook`): its `controller` and
-    `requirements` (of several loops tuples) follow the page and the page follows them.
-
-    `P`: an FRF, several, or a mapping from operating points to FRFs. Shaping starts from `C` (default: a gain
-    of 1). Margins, intervals, stability and the detuning margin are computed in the page as `check` computes them; with
-    `fits` it draws the step of each fit's loop. Several controllers (and requirements) are of the loops of a matrix
-    FRF: each is shaped on the plant that it meets with the others closed; `together` declares that plant's poles. With
-    what disturbs a single loop (`disturbance`, as of `check`) the page tells rms of error and input under each design.
-    Raises WrongUseError as `check` does.
-
-    Examples
-    --------
-    >>> import numpy as np, loopshape as ls, tempfile
-    >>> f_hz = np.geomspace(0.5, 200.0, 100)
-    >>> P = ls.FRF.from_arrays(f_hz, 1.0 / (1.0 + 1j * f_hz / 10.0), relative_std=0.01)
-    >>> page = ls.shape(P, ls.controller(ls.gain(2.0), rate_hz=1000.0), out=f"{tempfile.mkdtemp()}/shape.html")
-    >>> page.name
-    'shape.html'
-    """
-    from loopshape.verbs.shaping import ShapedLoops, notebook_widget, write_page
-
-    plants = plants_of([replace(frf, recording=name) for name, frf in P.items()] if isinstance(P, Mapping) else P)
-    required, together = required_of(R, together)
-    own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,)) if one is not None]
-    disturbed = point_disturbances(disturbance, plants[0].loop)
-    loops = ShapedLoops(plants, tuple(required), together, fits=tuple(fits), disturbances=disturbed)
-    if out is None:
-        return notebook_widget(loops, own, "Shape")
-    write_page(Path(out), loops.sessions(own), "Shape")
-    return Path(out)
 
 
 def predict(

@@ -1,9 +1,8 @@
-"""Nouns out of files and into them: tables of other programs, FRFs, controllers, requirements, a run's report."""
+"""Nouns out of files and into them: tables of other programs, FRFs, controllers, requirements."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +21,6 @@ from loopshape.verbs.arguments import controller_of
 if TYPE_CHECKING:
     from loopshape.design.tune import Tuning
     from loopshape.io.run.verify import Finding
-    from loopshape.loop.run_report import RunReport
 
 _READERS = {
     ".json": "loopshape.io.write.verdicts:read_verdicts",
@@ -35,7 +33,6 @@ _FORMATS = {
     "loopshape-fits": "loopshape.io.write.fits:read_fits",
     "loopshape-verdict": "loopshape.io.write.verdicts:read_verdicts",
 }
-FIGURES_MB, MOST_MB = 0.7, 1e6  # pictures that a report carries, together, and the most that may be asked for
 
 
 def read(path: str | Path) -> Any:
@@ -198,58 +195,3 @@ def _write_all(target: Path, every: list[Any]) -> None:
     if len(every) > 1:
         raise WrongUseError(f"one file holds {known}", names, "write others one by one")
     raise WrongUseError("there is no file for this", names, f"give a Run, an FRF, or {known}")
-
-
-def figure_bytes(megabytes: float) -> int:
-    """Size of the pictures that a report carries; refuses what is no size."""
-    if not 0.0 <= megabytes <= MOST_MB:
-        what = f"the size of the embedded pictures (figures_mb) is a number of 0 .. {MOST_MB:g} MB"
-        raise WrongUseError(what, f"{megabytes:g} MB")
-    return int(1e6 * megabytes)
-
-
-def report(
-    run_folder: str | Path,
-    out: str | Path | None = None,
-    *,
-    controllers: str | Path | None = None,
-    requirements: str | Path | None = None,
-    diagram: str | Path | None = None,
-    date: str | None = None,
-    figures_mb: float = FIGURES_MB,
-    author: str = "",
-    matrix: bool = False,
-) -> Path:
-    """Write all that is known of a run folder as one HTML page that opens offline (default: report.html in it).
-
-    With the files of `controllers` and `requirements` the page holds loops, margins and verdict; with that of a
-    `diagram` its picture too, and the controller stands on what its tuned block meets. All loops of the plant's matrix
-    are checked at once where `matrix`, or a table [several] of the requirements, asks for it. `date` and `author` stand
-    at its head; `figures_mb` limits the pictures beside the main ones. Raises
-    UnreadableInputError for a folder with neither recordings nor FRFs.
-    """
-    given = [None if x is None else Path(x) for x in (controllers, requirements, diagram)]
-    path = Path(out or Path(run_folder) / "report.html")
-    write_report(path, Path(run_folder), given, date, figures_mb, author, matrix)
-    return path
-
-
-def write_report(
-    path: Path,
-    folder: Path,
-    given: Sequence[Path | None],
-    date: str | None,
-    figures_mb: float,
-    author: str,
-    matrix: bool,
-) -> tuple[RunReport, int]:
-    """Write a run's report from files of controllers, requirements and diagram; gives it and its size in bytes."""
-    from loopshape.io.files import write_bytes_whole
-    from loopshape.io.run.report_inputs import gather
-    from loopshape.view.html.page import page
-
-    day = date or datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    made = gather(folder, given[0], given[1], day, figure_bytes(figures_mb), given[2], author, matrix=matrix)
-    data = page(made).encode("utf-8")
-    write_bytes_whole(path, data)
-    return made, len(data)

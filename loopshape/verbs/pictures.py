@@ -22,10 +22,12 @@ if TYPE_CHECKING:
     from loopshape.loop.predict.remeasured import Remeasured
 
 
+FIGURES = "figures"  # the folder of a run's pictures
+
+
 def figures_of(run: Path) -> Path:
     """The folder of a run's figures; refuses a link that leads out of the run."""
     from loopshape.io.files import inside
-    from loopshape.io.run.run_inputs import FIGURES
 
     return inside(run, FIGURES, "the folder of a run's figures")
 

@@ -5,7 +5,6 @@ from loopshape.io.csv_text import CsvShape
 from loopshape.io.files import read_json, read_toml, write_json, write_text_whole, write_toml
 from loopshape.io.requirements import read_required
 from loopshape.io.run.journal import read_journal
-from loopshape.io.run.report_inputs import gather
 from loopshape.io.run.run_folder import add_recording, check_recordings, finished, start_run, write_run
 from loopshape.io.run.verify import verify
 from loopshape.io.write.controllers import write_controllers
@@ -25,7 +24,6 @@ __all__ = [
     "add_recording",
     "check_recordings",
     "finished",
-    "gather",
     "read_fits",
     "read_frfs",
     "read_journal",

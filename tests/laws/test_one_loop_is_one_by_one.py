@@ -1,50 +1,15 @@
 """One loop in a list is that loop: every public verb gives a scalar loop's numbers, intervals included."""
 
 import json
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conversions import TWO_PI
+from one_loop import LIMITS, RATE, F, S, drawn, same
 from run_files import write_controllers, write_frfs, write_matrices
 
 import loopshape as ls
 from loopshape.verbs import runs
-
-RATE = 1000.0
-F = np.geomspace(0.5, 200.0, 160)
-S = 1j * TWO_PI * F
-LIMITS = {"phase_margin_deg": 40.0, "sensitivity_peak_db": 6.0, "disk_margin": 0.7, "bandwidth_hz": 3.0}
-
-
-def drawn(seed):
-    """A lag with a resonance and delay, measured with noise; a controller; integrators and unstable poles."""
-    rng = np.random.default_rng(seed)
-    k, order, w = float(rng.uniform(5.0, 40.0)), int(rng.integers(0, 2)), TWO_PI * float(rng.uniform(30.0, 90.0))
-    G = k / (S if order else S + 3.0) * w**2 / (S**2 + 0.1 * w * S + w**2) * np.exp(-0.002 * S)
-    std = float(rng.uniform(0.002, 0.03))
-    noise = rng.standard_normal((2, F.size)) / 2**0.5
-    P = ls.FRF.from_arrays(F, G * (1.0 + std * (noise[0] + 1j * noise[1])), relative_std=std, rate_hz=RATE, loop="x")
-    C = ls.controller(ls.gain(float(rng.uniform(0.3, 1.5))), ls.lead_lag(5.0, 40.0), rate_hz=RATE, loop="x")
-    return P, C, ls.Requirements("x", **LIMITS, integrators=order, unstable_poles=0)
-
-
-def same(one, other, where=""):
-    """Equal to 1e-12, whatever is nested in what."""
-    if isinstance(one, dict):
-        assert one.keys() == other.keys(), where
-        for key, value in one.items():
-            same(value, other[key], f"{where}.{key}")
-    elif isinstance(one, (list, tuple)):
-        assert len(one) == len(other), where
-        for k, pair in enumerate(zip(one, other, strict=True)):
-            same(*pair, f"{where}[{k}]")
-    elif isinstance(one, float):
-        assert other == pytest.approx(one, rel=1e-12, abs=1e-300, nan_ok=True), where
-    else:
-        assert one == other, where
-
 
 CASES = pytest.mark.parametrize("seed", range(8))
 
@@ -126,36 +91,3 @@ def test_the_command(tmp_path):
     (matrix,) = runs.check(tmp_path / "matrix", tmp_path / "c.toml", tmp_path / "all.toml").checks.verdicts
     same(json.loads(json.dumps(one.to_dict())), json.loads(json.dumps(matrix.to_dict())))
     same(one.to_dict(), ls.check(P, C, R).to_dict())
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_shape(tmp_path, seed):
-    P, C, R = drawn(seed)
-    pages = [ls.shape(P, C, R, tmp_path / "one.html"), ls.shape([P], [C], [R], tmp_path / "list.html")]
-    bare, poles = replace(R, integrators=None, unstable_poles=None), {"integrators": R.integrators, "unstable_poles": 0}
-    pages.append(ls.shape([P], [C], [bare], tmp_path / "all.html", together=ls.Requirements(**poles)))
-    one, *others = (path.read_bytes() for path in pages)
-    assert others == [one, one]
-
-
-def test_report(tmp_path):
-    """A run's matrix of one loop is shown as its FRF of that loop: the same verdict, margins and certificate."""
-    P, C, R = drawn(1)
-    P = replace(P, recording="one")
-    write_frfs(tmp_path / "run", [P])
-    write_matrices(tmp_path / "all" / "run", [P])
-    ls.write(C, tmp_path / "c.toml")
-    ls.write(R, tmp_path / "r.toml")
-    given = {"controllers": tmp_path / "c.toml", "requirements": tmp_path / "r.toml", "date": "2020-01-01"}
-    pages = [
-        ls.report(folder, tmp_path / "x.html", **given).read_text()
-        for folder in (tmp_path / "run", tmp_path / "all" / "run")
-    ]
-    one, matrix = (
-        [re.sub(r"<[^>]+>", "", part) for part in re.findall(r"<table.*?</table>", page, re.S)] for page in pages
-    )
-    shown = [
-        table for table in one if table.startswith(("Requirements of loop", "Margins of", "Peaks and", "Closed loop"))
-    ]
-    assert len(shown) == 4
-    assert [table for table in shown if table not in matrix] == []

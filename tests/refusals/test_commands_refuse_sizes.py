@@ -10,9 +10,9 @@ from run_files import write_verdicts
 
 import loopshape as ls
 from loopshape.cli.output import Output
-from loopshape.cli.verify.report import report
 from loopshape.io.write.check_files import against
 from loopshape.loop.verdict import LoopCheck, check_loops
+from loopshape.toolbox.pages.commands import report
 
 OWN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 WISHED = ls.Requirements("a", phase_margin_deg=10.0, integrators=1)

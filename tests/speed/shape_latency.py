@@ -17,7 +17,7 @@ import shaped_cases
 from firefox import firefox
 
 import loopshape as ls
-from loopshape.verbs.shaping import page_of, shaped
+from loopshape.toolbox.pages.shape.shaping import page_of, shaped
 
 POINTS, LINES, MOVES, FRAME_MS = 24, 500, 150, 16
 EMPTY = "Object.values(loopshape.timings).forEach(x => x.length = 0)"

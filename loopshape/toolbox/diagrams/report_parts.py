@@ -5,10 +5,10 @@ from __future__ import annotations
 from base64 import b64encode
 
 from loopshape.data.result.equivalent import Diagram
-from loopshape.loop.run_report import RunReport, asked_outcome
-from loopshape.view.html.markup import Markup, joined, tag
-from loopshape.view.html.verdict_parts import margins_of
-from loopshape.view.html.words import badge
+from loopshape.toolbox.pages.markup import Markup, joined, tag
+from loopshape.toolbox.pages.report.run_report import RunReport, asked_outcome
+from loopshape.toolbox.pages.report.verdict_parts import margins_of
+from loopshape.toolbox.pages.report.words import badge
 from loopshape.view.style import png
 
 

@@ -17,9 +17,9 @@ from loopshape.io.config_table import ConfigTable
 from loopshape.io.run.run_tables import read_recording, recording_table
 from loopshape.loop.points import CLOSENESS
 from loopshape.toolbox.limits.bound_nodes import COUNTED, counted
+from loopshape.toolbox.pages.report.verdict_parts import _column
+from loopshape.toolbox.pages.report.verdict_parts import margins as margin_tables
 from loopshape.toolbox.rig.files.study import _EXPERIMENT_KEYS
-from loopshape.view.html.verdict_parts import _column
-from loopshape.view.html.verdict_parts import margins as margin_tables
 
 NAMES = [limit.name for limit in LIMITS]
 MASKED = [name for name in NAMES if name.endswith(("_mask_db", "_floor_db"))]

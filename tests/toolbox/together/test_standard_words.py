@@ -66,7 +66,7 @@ EXCEPT = {
 #: read again with the loop of n channels and its one reading
 LATER = (
     "loop/margin/", "loop/matrix/", "loop/loop.py",
-    "data/requirement/requirements.py", "data/result/", "view/verdict/", "view/html/verdict_parts.py",
+    "data/requirement/requirements.py", "data/result/", "view/verdict/", "toolbox/pages/report/verdict_parts.py",
 )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ unstable_poles = 0
 BEFORE = """
 from loopshape.cli.verify.check import check_run
 from loopshape.cli.estimate.figures import figures
-from loopshape.cli.verify.report import report
+from loopshape.toolbox.pages.commands import report
 from loopshape.cli.output import Output
 def all_of(folder):
     run, controller, require = folder / "run", folder / "controller.toml", folder / "require.toml"
