@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 from bench_nouns import LoopSetup, RequirementResult
 from commands import loopshape
-from run_files import gather, write_frfs
+from run_files import write_frfs
 
 import loopshape as ls
 from loopshape.toolbox.diagrams.files import read_diagram
+from loopshape.toolbox.pages.report.report_inputs import gather
 from loopshape.toolbox.rig.target.blocks import blocks
 
 RATE = 2000.0
