@@ -589,3 +589,9 @@ def test_without_script_a_picture_stands_in_place_of_the_plots(chromium: Any, wh
     picture = (matplotlib.image.imread(BytesIO(shot))[..., :3] * 255).astype(int)
     blue = (np.abs(picture - [0, 114, 178]).max(axis=2) < 12).sum()  # the first operating point's curve
     assert blue > 500
+
+
+@pytest.mark.parametrize("size", [np.inf, np.nan, 1e300, -1.0])
+def test_pictures_of_no_size(tmp_path, size):
+    with pytest.raises(ls.errors.WrongUseError, match="size of the embedded pictures"):
+        report(tmp_path, figures_mb=size)

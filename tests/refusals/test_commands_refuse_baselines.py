@@ -1,4 +1,4 @@
-"""Sizes that are none on the command line, a baseline that cannot be bridged, and what quiet leaves."""
+"""A baseline that cannot be bridged, and what quiet leaves."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,16 +12,9 @@ import loopshape as ls
 from loopshape.cli.output import Output
 from loopshape.io.write.check_files import against
 from loopshape.loop.verdict import LoopCheck, check_loops
-from loopshape.toolbox.pages.commands import report
 
 OWN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 WISHED = ls.Requirements("a", phase_margin_deg=10.0, integrators=1)
-
-
-@pytest.mark.parametrize("size", [np.inf, np.nan, 1e300, -1.0])
-def test_pictures_of_no_size(tmp_path: Path, size: float) -> None:
-    with pytest.raises(ls.errors.WrongUseError, match="size of the embedded pictures"):
-        report(tmp_path, figures_mb=size)
 
 
 def frf(gain: float, rate_hz: float) -> ls.FRF:
