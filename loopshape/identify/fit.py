@@ -401,16 +401,19 @@ def _freedom(J: Array, inverse: Array, share: Array) -> tuple[float, float]:
 
     n - p and 1 where the weights are the data's own variances. Under other weights the fit takes less out
     of the well-known lines: with R = I - J A^-1 J' the residual in units of its noise is B = V^-1/2 R V^1/2
-    times white noise, and the moments are the traces of B'B.
+    times white noise, and the moments are the traces of B'B = I + Z M Z', Z as wide as the parameters twice.
     """
     n, p = J.shape
     if np.all(share == share[0]):
         return float(max(n - p, 1)), 1.0
-    root = np.sqrt(share)
-    B = (np.eye(n) - J @ inverse @ J.T) * (root[None, :] / root[:, None])
-    gram = B.T @ B
-    mean = float(np.trace(gram))
-    return mean, float(np.sum(gram * gram)) / mean
+    root = np.sqrt(share)[:, None]
+    Z = np.hstack([root * J, J @ inverse / root])
+    G = Z.T @ Z
+    M = np.kron([[0.0, -1.0], [-1.0, 0.0]], np.eye(p))
+    M[:p, :p] = G[p:, p:]
+    MG = M @ G
+    mean = n + float(np.trace(MG))
+    return mean, (mean + float(np.trace(MG)) + float(np.sum(MG * MG.T))) / mean
 
 
 def residual_tests(left: ComplexArray, freedom: float, data: Data, stretch: float = 1.0) -> tuple[float, float]:

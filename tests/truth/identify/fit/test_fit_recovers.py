@@ -3,6 +3,7 @@
 FRFs are made up: a known response with circular Gaussian errors of known variance, independent between lines.
 """
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import loopshape as ls
-from loopshape.identify.fit import Data, fit, fit_best, modes, residual_tests, runs_test, structure_by_name
+from loopshape.identify.fit import Data, _freedom, fit, fit_best, modes, residual_tests, runs_test, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.structures import Integrator, Rational, ThirdOrder, levy
 
@@ -439,3 +440,25 @@ def test_a_stable_model_is_asked_for_and_is_the_default_in_open_loop():
     assert fit(P, Rational(0, 2), stable=True).model.unstable_poles() == 0
     assert fit(replace(P, open_loop=True), Rational(0, 2)).model.unstable_poles() == 0
     assert fit(replace(P, open_loop=True), Rational(0, 2), stable=False).model.unstable_poles() == 2
+
+
+@pytest.mark.parametrize(("lines", "wide"), [(60, 1.0), (500, 6.0)])
+def test_moments_of_what_other_weights_leave_are_those_of_white_noise(lines, wide):
+    """The mean and variance of a sum of squares, by the whole matrix from white noise to what is left."""
+    rng = np.random.default_rng(lines)
+    J, root = rng.standard_normal((lines, 4)), 10.0 ** rng.uniform(-wide / 4, wide / 4, lines)
+    left = (np.eye(lines) - J @ np.linalg.pinv(J)) * (root[None, :] / root[:, None])
+    squares = np.linalg.svd(left, compute_uv=False) ** 2
+    mean, stretch = _freedom(J, np.linalg.inv(J.T @ J), root**2)
+    np.testing.assert_allclose([mean, stretch], [squares.sum(), (squares**2).sum() / squares.sum()], rtol=1e-9)
+
+
+def test_a_fit_by_other_weights_of_many_lines_needs_no_matrix_of_them_all():
+    f, rng = np.linspace(0.01, 100.0, 6000), np.random.default_rng(1)
+    G = 5.0 / (1.0 + 1j * f / 7.0)
+    frf = frf_of(G + circular(rng, 0.02 * np.abs(G)), np.linspace(0.5, 2.0, f.size) * 0.02 * np.abs(G), f)
+    tracemalloc.start()
+    ls.fit(frf, "rational", numerator=0, denominator=1, weighting="relative")
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert most < 5e7  # all by all: 1.2e9
