@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from loopshape.toolbox import planning as planning
     from loopshape.toolbox import rig as rig
     from loopshape.toolbox import schedules as schedules
+    from loopshape.toolbox.diagrams.coupling.interaction import interaction as interaction
     from loopshape.toolbox.pages.verbs import report as report
     from loopshape.toolbox.pages.verbs import shape as shape
     from loopshape.verbs.chain import check as check
@@ -66,7 +67,6 @@ if TYPE_CHECKING:
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
-    from loopshape.verbs.chain import interaction as interaction
     from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.estimates import estimate as estimate
@@ -117,7 +117,6 @@ _HOME = {
     "frfs": "verbs.chain",
     "from_control": "data.response.control_frd",
     "gain": "data.control.shorthand",
-    "interaction": "verbs.chain",
     "lead_lag": "data.control.shorthand",
     "low_pass": "data.control.shorthand",
     "notch": "data.control.shorthand",
@@ -149,13 +148,20 @@ def __getattr__(name: str) -> Any:
     boxes = _toolboxes()
     if name in boxes:
         return boxes[name]
-    if name in _face():
-        return _public(_face()[name], name, f"ls.{name}")
+    if name in (verbs := _verbs()):
+        return _public(verbs[name], name, f"ls.{name}")
     there = [f"loopshape.{box}.{name}" for box, names in boxes.items() if name in dir(names)]
     from loopshape.core.errors import meant
 
     hint = f"there is {', '.join(there)}" if there else meant(name, __dir__()).strip()
     raise AttributeError(f"module 'loopshape' has no attribute {name!r}{'; ' * bool(hint)}{hint}")
+
+
+def _verbs() -> dict[str, str]:
+    """Public names that toolboxes add to the bench's own, and their modules."""
+    from loopshape.core.toolboxes import found
+
+    return found().all("verbs")
 
 
 def _public(home: str, name: str, public: str) -> Any:
@@ -230,12 +236,5 @@ def _toolboxes() -> dict[str, _Names]:
     return made | {"errors": _Names("errors", "Kinds of LoopshapeError", _ERRORS)}
 
 
-@cache
-def _face() -> dict[str, str]:
-    from loopshape.core.toolboxes import found
-
-    return found().all("face")
-
-
 def __dir__() -> list[str]:
-    return sorted(["__version__", *_HOME, *_face(), *_toolboxes()])
+    return sorted({"__version__", *_HOME, *_verbs(), *_toolboxes()})

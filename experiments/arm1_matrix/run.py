@@ -20,16 +20,16 @@ from valves import Plant, best_gains, replayed, valves  # noqa: E402
 
 from loopshape.core.units import ComplexArray, db, deg  # noqa: E402
 from loopshape.data.response.frf import FRF  # noqa: E402
-from loopshape.data.response.interaction import Interaction  # noqa: E402
 from loopshape.data.signal.recording import Recording  # noqa: E402
 from loopshape.data.signal.run import Run  # noqa: E402
-from loopshape.identify.matrix.interaction import interaction  # noqa: E402
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.toolbox.arm.arm1 import Arm1  # noqa: E402
 from loopshape.toolbox.arm.dynamics.equilibrium import pressures  # noqa: E402
 from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise  # noqa: E402
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants  # noqa: E402
+from loopshape.toolbox.diagrams.coupling.interaction import interaction  # noqa: E402
+from loopshape.toolbox.diagrams.coupling.nouns import Interaction  # noqa: E402
 from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
 from loopshape.view.plots.curves import draw_band, frequency_axis  # noqa: E402

@@ -19,16 +19,16 @@ from valves import Plant, Valves, replayed, valves, with_closed  # noqa: E402
 
 from loopshape.core.units import ComplexArray, db, deg  # noqa: E402
 from loopshape.data.response.frf import FRF  # noqa: E402
-from loopshape.data.response.interaction import Interaction  # noqa: E402
 from loopshape.data.signal.recording import Recording  # noqa: E402
 from loopshape.data.signal.run import Run  # noqa: E402
-from loopshape.identify.matrix.interaction import interaction  # noqa: E402
 from loopshape.identify.matrix.matrix import estimate_matrix  # noqa: E402
 from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.toolbox.arm.arm2 import Arm2  # noqa: E402
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2  # noqa: E402
 from loopshape.toolbox.arm.dynamics.linear2 import DECOUPLING, OUTPUTS, Linearisation2, linearise2  # noqa: E402
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noqa: E402
+from loopshape.toolbox.diagrams.coupling.interaction import interaction  # noqa: E402
+from loopshape.toolbox.diagrams.coupling.nouns import Interaction  # noqa: E402
 from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.simulated import experiment, header, measure, plan  # noqa: E402
 from loopshape.toolbox.rig.study import Study  # noqa: E402

@@ -12,11 +12,11 @@ import numpy as np
 
 import loopshape as ls
 from loopshape.core.units import deg
-from loopshape.identify.matrix.interaction import interaction
 from loopshape.io.requirements import read_requirements
 from loopshape.io.write.controllers import write_controllers
 from loopshape.toolbox.arm.arm2 import Arm2
-from loopshape.toolbox.diagrams.decoupling.decouple import Decoupling
+from loopshape.toolbox.diagrams.coupling.decouple import Decoupling
+from loopshape.toolbox.diagrams.coupling.interaction import interaction
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 

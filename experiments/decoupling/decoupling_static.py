@@ -12,12 +12,12 @@ from loopshape.core.units import Array, ComplexArray
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.interaction import BandVerdict
 from loopshape.data.result.margins import Margins
 from loopshape.identify.fit import fit, structure_by_name
-from loopshape.identify.matrix.interaction import interaction
 from loopshape.loop.loops import loops_of
 from loopshape.loop.margin.margins import margins
+from loopshape.toolbox.diagrams.coupling.interaction import interaction
+from loopshape.toolbox.diagrams.coupling.nouns import BandVerdict
 
 
 def mixed(frf: FRF, W: Array) -> FRF:

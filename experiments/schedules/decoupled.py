@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 import loopshape as ls
-from loopshape.identify.matrix.interaction import interaction
 from loopshape.io.requirements import read_requirements
 from loopshape.toolbox.arm.arm1 import Arm1
+from loopshape.toolbox.diagrams.coupling.interaction import interaction
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
 

@@ -29,7 +29,6 @@ OWN = (
     ("Start", "examples", "examples --out examples", 20),
     ("Estimate", "estimate.frf", "frf runs/axis", 10),
     ("Estimate", "estimate.fit", "fit runs/axis --structure auto", 20),
-    ("Estimate", "estimate.interaction", "interaction runs/arm2", 30),
     ("Estimate", "estimate.figures", "figures runs/axis --controller controller.toml", 60),
     ("Design", "design.tune", "tune runs/axis --require requirements.toml --out controller.toml", 10),
     ("Design", "design.profiles", "profiles --out mine.toml", 40),

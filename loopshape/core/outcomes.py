@@ -71,14 +71,6 @@ class Agreement(Graded):
     REFUTED = "refuted"
 
 
-class Coupling(Graded):
-    """What data say of the coupling between two loops in a band."""
-
-    DECOUPLED = "decoupled"
-    UNDECIDED = "undecided"
-    COUPLED = "coupled"
-
-
 class Change(Graded):
     """What became of something since a baseline."""
 

@@ -37,7 +37,7 @@ class Command:
 class Toolbox:
     """What a toolbox adds: its commands, its public names (name to module), and who reads files of which ending.
 
-    `names` stand behind the toolbox's own (`ls.rig.measure`), those of `face` beside the bench's (`ls.report`).
+    `names` are those of `loopshape.<toolbox>`, `verbs` stand beside the bench's own as `loopshape.<name>`.
     `readers` lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name;
     `loopshape import` uses them. `writers` lead from the name of a noun's class ("FRF") to a function that takes a path
     and the noun, for `loopshape.write`. `formats` lead from the first words of a file (`format = "mine/1"`) to a
@@ -55,7 +55,7 @@ class Toolbox:
     purpose: str
     commands: tuple[Command, ...] = ()
     names: Mapping[str, str] = field(default_factory=dict)
-    face: Mapping[str, str] = field(default_factory=dict)
+    verbs: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, str] = field(default_factory=dict)
     writers: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, str] = field(default_factory=dict)

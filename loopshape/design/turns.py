@@ -21,8 +21,7 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.design.tune import SEARCH, Search, Tuning, tune
-from loopshape.identify.matrix.equivalent_plant import equivalent_plant
-from loopshape.identify.matrix.interaction import square_part
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant, square_part
 from loopshape.loop.loops import Closed, loops_of, matrix_loops
 from loopshape.loop.matrix.determinant import encirclement_count
 from loopshape.loop.matrix.disturbed_loops import of_each
@@ -180,7 +179,7 @@ class _State:
         """The plant that a loop meets while others are closed, and the rest is open."""
         closed = (loop, *others)
         part = self._part(frf, closed)
-        equivalent = equivalent_plant(part, closed, loop, self.controllers).closed if others else part
+        equivalent = equivalent_plant(part, closed, loop, self.controllers) if others else part
         return replace(equivalent, loop=loop, recording=frf.recording or f"frf {k}", recorded_under=None)
 
     def _wish(self, loop: str, others: tuple[str, ...], plants: Sequence[FRF]) -> Requirements:

@@ -59,12 +59,6 @@ class Tolerances(NamedTuple):
     rounding_counts: float = 10.0
     #: difference of Schwarz's criterion that is very strong evidence for the richer model (Kass and Raftery 1995)
     very_strong: float = 10.0
-    #: probability beyond each end of a two-sided 95 % interval
-    tail: float = 0.025
-    #: nearer to zero than this a factor has no known phase, and its correlation with others counts as if it hurt; from
-    #: the second on the lower end of its size is normal
-    phase_known_std: float = 4.0
-    normal_std: float = 40.0
     #: chi²/dof below which what is left of a fit is rounding and no noise of the stated variance
     no_noise: float = 1e-6
     #: share of the frequencies from which on loop noise above the excitation is reported; fewer lie at its ends

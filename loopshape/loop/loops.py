@@ -18,8 +18,7 @@ from loopshape.data.response.frf import FRF, Hold
 from loopshape.data.response.model import Fit
 from loopshape.data.response.smoothed import Scatter
 from loopshape.identify.fit import modes
-from loopshape.identify.matrix.equivalent_plant import equivalent_plant
-from loopshape.identify.matrix.interaction import square_part
+from loopshape.identify.matrix.equivalent_plant import equivalent_plant, square_part
 from loopshape.identify.smooth.smoothing import merged, smoothed
 from loopshape.loop.loop import Loop
 from loopshape.loop.matrix import determinant
@@ -376,7 +375,7 @@ def _recorded_poles_of_all(loops: Loop) -> tuple[int | None, tuple[str, ...]]:
 
 def equivalent_plants(name: str, loops: Sequence[Loop]) -> tuple[FRF, ...]:
     """The plant that a loop meets with all others closed, at each operating point."""
-    made = (equivalent_plant(m.plant, m.names, name, {own.loop: own for own in m.controllers}).closed for m in loops)
+    made = (equivalent_plant(m.plant, m.names, name, {own.loop: own for own in m.controllers}) for m in loops)
     return tuple(replace(plant, recorded_under=None) for plant in made)
 
 

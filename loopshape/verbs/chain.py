@@ -7,7 +7,7 @@ the plant that `ls.diagrams.equivalent` finds; python-control's systems with dat
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
@@ -27,7 +27,6 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.response.interaction import Interaction
     from loopshape.data.result.prediction import Comparison, Prediction
     from loopshape.data.signal.disturbance import Disturbance
     from loopshape.design.tune import Tuning
@@ -117,27 +116,6 @@ def fit(
         return fit_automatically(P, weighting=weighting, band_hz=band_hz, stable=stable)
     chosen = structure_by_name(structure, **orders)
     return fit_structure(P, chosen, weighting=weighting, band_hz=band_hz, stable=stable)
-
-
-def interaction(
-    P: FRF,
-    loops: Sequence[str] | None = None,
-    controllers: Mapping[str, Controller] | None = None,
-    *,
-    outputs: Sequence[str] | None = None,
-    limit_db: float = -20.0,
-    bands: Sequence[tuple[float, float]] | None = None,
-) -> Interaction:
-    """Coupling between the loops of a matrix FRF, frequency by frequency, with 95 % bounds.
-
-    Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
-    loop meets with the others closed, by `controllers` where those are known, by loop. `outputs` are the loops' rows
-    where names do not tell. Each of the `bands` in Hz (octaves by default) is judged against `limit_db`. Raises
-    WrongUseError for an FRF of a single loop.
-    """
-    from loopshape.identify.matrix.interaction import interaction as interaction_of
-
-    return interaction_of(P, loops, controllers, outputs=outputs, limit_db=limit_db, bands=bands)
 
 
 class TuneOptions(TypedDict, total=False):

@@ -1,4 +1,4 @@
-"""Pictures of a run to files: of its FRFs with their fits, of matrices, loops, interactions and predictions."""
+"""Pictures of a run to files: of its FRFs with their fits, of matrices, loops and predictions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
     from loopshape.data.requirement.requirements import Requirements
     from loopshape.data.response.frf import FRF
-    from loopshape.data.response.interaction import Interaction
     from loopshape.data.response.model import Fit
     from loopshape.data.result.prediction import Prediction
     from loopshape.data.result.verdict import Verdict
@@ -170,22 +169,6 @@ def draw_together(
         each = {one.loop: one.margins[recording] for one in verdict.each}
         page = together_page(loop, verdict.together[recording], each, required)
         drawn += _saved(folder, [(f"loop_{'+'.join(loop.names)}{tail}", page)])
-    return drawn
-
-
-def draw_interactions(folder: Path, found: Sequence[Interaction], watch: Watch | None = None) -> list[str]:
-    """The page of each interaction, and of its matrix, named by recordings and loops."""
-    from loopshape.view.plots.interaction import interaction_page
-    from loopshape.view.plots.matrix import matrix_page
-
-    drawn = []
-    with (watch or Unwatched()).progress("draw", len(found)) as step:
-        for k, one in enumerate(found):
-            name = f"{one.frf.recording or 'all'}.{'+'.join(one.loops)}"
-            name = name if len(name) < 120 else f"{k + 1}"
-            drawn += _saved(folder, [(f"matrix_{name}", matrix_page(one.frf))])
-            drawn += _saved(folder, [(f"interaction_{name}", interaction_page(one))])
-            step(one.frf.recording)
     return drawn
 
 

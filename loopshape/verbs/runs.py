@@ -29,7 +29,6 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.response.interaction import Interaction
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
     from loopshape.io.write.check_files import Baseline, Checks
@@ -63,23 +62,6 @@ def store_fits(run: Path, made: Sequence[Fit]) -> None:
     known = {(f.recording, f.loop) for f in made}
     with locked(run):
         write_fits(run, [*(f for f in fits_of(run) if (f.recording, f.loop) not in known), *made])
-
-
-def interactions(
-    run: Path, loops: Sequence[str] | None = None, *, controllers: Path | None = None, **options: Any
-) -> list[Interaction]:
-    """How much the loops of each matrix of a run interact; `options` as in `ls.interaction`.
-
-    The others are closed by the controllers of a file, else by those that the run was recorded under.
-    """
-    from loopshape.io.run.run_folder import recorded_under
-
-    closing = recorded_under(run) if controllers is None else read_controllers(controllers)
-    found = []
-    for one in read_all_loops(run):
-        mine = {c.loop: c for c in closing if c.loop in (loops or one.loop.split("+"))}
-        found.append(chain.interaction(one, loops, mine, **options))
-    return found
 
 
 @dataclass(frozen=True, eq=False)

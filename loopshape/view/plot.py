@@ -13,14 +13,12 @@ from loopshape.data.algebra import controller_frf
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.interaction import Interaction
 from loopshape.data.result.equivalent import Diagram
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.view.plots import frequency
-from loopshape.view.plots import interaction as meetings
 from loopshape.view.plots import loops as pages
 from loopshape.view.plots import matrix as matrices
 from loopshape.view.plots import nichols as charts
@@ -64,8 +62,8 @@ class Plots:
     __name__ = "loopshape.plot"
 
     def __call__(self, thing: object) -> Figure:
-        """The picture that suits one thing: an FRF, a loop (of several S), a controller or a tuning, an interaction, a
-        verdict, a prediction, or a toolbox's noun.
+        """The picture that suits one thing: an FRF, a loop (of several S), a controller or a tuning, a verdict,
+        a prediction, or a toolbox's noun.
 
         Raises WrongUseError for what has none.
         """
@@ -78,8 +76,6 @@ class Plots:
                 return bode_page(thing, None) if thing.is_one else self.matrix(thing.sensitivity)
             case Controller():
                 return self.frf(controller_frf(thing, thing.rate_hz * GRID, ("e",), ("z",)))
-            case Interaction():
-                return self.interaction(thing)
             case Prediction():
                 return self.prediction([thing])
             case tuple() | list() if thing and all(isinstance(one, Prediction) for one in thing):
@@ -105,9 +101,9 @@ class Plots:
         return matrices.matrix_page(P)
 
     @staticmethod
-    def interaction(found: Interaction) -> Figure:
+    def interaction(found: object) -> Figure:
         """Interaction coefficients, relative gains and equivalent plants over frequency, with bounds and verdicts."""
-        return meetings.interaction_page(found)
+        return plot(found)
 
     @staticmethod
     def prediction(predictions: Sequence[Prediction]) -> Figure:

@@ -68,7 +68,7 @@ def test_what_a_notebook_shows_of_a_noun_is_one_short_line():
     loop, disturbance = ls.Loop(P, C), ls.Disturbance.from_arrays(np.sin(np.arange(2000.0)), 2000.0, recorded_under=C)
     P2 = ls.FRF.from_arrays(F_HZ, P.siso[:, None, None] * np.eye(2), relative_std=0.01, rate_hz=2000.0)
     run = ls.Run.from_arrays(u=np.sin(F_HZ), y=np.cos(F_HZ), rate_hz=2000.0)
-    shown = [loop, loop.margins(), disturbance, ls.interaction(P2), run.recordings[0], run, ls.check(P, C, R)]
+    shown = [loop, loop.margins(), disturbance, P2, run.recordings[0], run, ls.check(P, C, R)]
     for line in map(repr, shown):
         assert len(line) < 200
         assert "\n" not in line

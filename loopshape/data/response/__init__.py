@@ -1,1 +1,1 @@
-"""What is estimated: FRFs with their uncertainty, fits, interaction, dependence on level."""
+"""What is estimated: FRFs with their uncertainty, fits, dependence on level."""

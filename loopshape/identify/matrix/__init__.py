@@ -1,1 +1,1 @@
-"""Several inputs and outputs: the matrix FRF, equivalent plants, interaction and its intervals."""
+"""Several inputs and outputs: the matrix FRF, and equivalent plants."""

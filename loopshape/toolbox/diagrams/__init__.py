@@ -1,13 +1,13 @@
 """Block diagrams around one tuned block: a diagram and measured plants come in, equivalent plants go out.
 
-Common diagrams, their files, their picture, their C code.
+Common diagrams, their files, their picture, their C code. How the loops of one plant meet, and what decouples them.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from loopshape.core.toolboxes import Toolbox
+from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
     from loopshape.toolbox.diagrams.common_diagrams import cascade as cascade
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from loopshape.toolbox.diagrams.common_diagrams import dual_stage as dual_stage
     from loopshape.toolbox.diagrams.common_diagrams import prefilter as prefilter
     from loopshape.toolbox.diagrams.common_diagrams import two_sensors as two_sensors
-    from loopshape.toolbox.diagrams.decoupling.decouple import decouple as decouple
-    from loopshape.toolbox.diagrams.decoupling.decoupled import decoupled as decoupled
+    from loopshape.toolbox.diagrams.coupling.decouple import decouple as decouple
+    from loopshape.toolbox.diagrams.coupling.decouple import decoupled as decoupled
     from loopshape.toolbox.diagrams.diagram import Diagram as Diagram
     from loopshape.toolbox.diagrams.diagram import Part as Part
     from loopshape.toolbox.diagrams.diagram_run import simulate as simulate
@@ -29,11 +29,21 @@ if TYPE_CHECKING:
 TOOLBOX = Toolbox(
     "diagrams",
     "Block diagrams around one tuned block: a diagram and measured plants come in, equivalent plants go out",
+    commands=(
+        Command(
+            "Estimate",
+            "interaction",
+            "loopshape.toolbox.diagrams.coupling.command:interaction",
+            "loopshape interaction runs/arm2",
+            30,
+        ),
+    ),
+    verbs={"interaction": "loopshape.toolbox.diagrams.coupling.interaction"},
     formats={"loopshape-diagram/1": "loopshape.toolbox.diagrams.files:read_diagram"},
     parts={"Block diagram": "loopshape.toolbox.diagrams.report_parts:diagram"},
     names={
-        "decouple": "loopshape.toolbox.diagrams.decoupling.decouple",
-        "decoupled": "loopshape.toolbox.diagrams.decoupling.decoupled",
+        "decouple": "loopshape.toolbox.diagrams.coupling.decouple",
+        "decoupled": "loopshape.toolbox.diagrams.coupling.decouple",
         "multirate": "loopshape.toolbox.diagrams.multirate",
         "cascade": "loopshape.toolbox.diagrams.common_diagrams",
         "disturbance_observer": "loopshape.toolbox.diagrams.common_diagrams",

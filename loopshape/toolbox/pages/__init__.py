@@ -27,5 +27,5 @@ TOOLBOX = Toolbox(
             40,
         ),
     ),
-    face={"report": "loopshape.toolbox.pages.verbs", "shape": "loopshape.toolbox.pages.verbs"},
+    verbs={"report": "loopshape.toolbox.pages.verbs", "shape": "loopshape.toolbox.pages.verbs"},
 )

@@ -115,7 +115,7 @@ def _one_at_a_time(loops: Loop) -> list[Array]:
     named = dict(zip(loops.names, loops.controllers, strict=True)) | controllers
     out = []
     for k, name in enumerate(loops.names):
-        L = equivalent_plant(loops.plant, loops.names, name, named).closed.siso * loops.c[:, k]
+        L = equivalent_plant(loops.plant, loops.names, name, named).siso * loops.c[:, k]
         with np.errstate(divide="ignore"):
             out.append(np.abs(2.0 * (1.0 + L) / (1.0 - L)))
     return out

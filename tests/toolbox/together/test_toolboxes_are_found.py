@@ -67,6 +67,23 @@ def test_nobody_replaces_a_toolbox_of_ours_or_a_command_that_is_there(tmp_path):
     assert "bold\n" not in made.stdout
 
 
+def test_a_toolbox_s_verb_stands_beside_those_of_the_bench_and_hides_none(tmp_path):
+    (tmp_path / "bold.py").write_text(
+        "from loopshape.core.toolboxes import Toolbox\n"
+        "def half(x: float):\n    return x / 2\n"
+        "check = gap = half\n"
+        "TOOLBOX = Toolbox('bold', '', verbs={name: 'bold' for name in ('half', 'check', 'gap', 'interaction')})\n"
+    )
+    words = (
+        "import loopshape as ls; print(ls.half(3.0), ls.check.__module__, ls.gap.__name__, ls.interaction.__module__);"
+        "print(dir(ls).count('half'), dir(ls).count('check')); ls.half('3')"
+    )
+    made = python(installed(tmp_path, "bold", "bold = bold:TOOLBOX"), words, module=("-c",))
+    ours = "loopshape.toolbox.diagrams.coupling.interaction"
+    assert made.stdout.split() == ["1.5", "loopshape.verbs.chain", "loopshape.gap", ours, "1", "1"]
+    assert "x of ls.half must be a number; received '3'" in made.stderr
+
+
 def test_a_command_that_cannot_be_loaded_is_left_out_alone(tmp_path):
     (tmp_path / "half.py").write_text(
         "from loopshape.core.toolboxes import Command, Toolbox\n"

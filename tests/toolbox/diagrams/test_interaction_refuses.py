@@ -7,8 +7,7 @@ from interaction_nouns import F, coupled_by, matrix_frf
 
 import loopshape as ls
 from loopshape.data.algebra.propagation import pick
-from loopshape.identify.matrix.equivalent_plant import equivalent_plant
-from loopshape.identify.matrix.interaction import relative_gain
+from loopshape.toolbox.diagrams.coupling.interaction import closing_the_others, relative_gain
 
 FRF22 = matrix_frf(coupled_by(-30.0), error=0.01)
 TALL = matrix_frf(np.ones((F.size, 3, 2)), outputs=("a_m", "b_m", "c_m"))
@@ -31,8 +30,8 @@ K = ls.Controller("theta9", (Block("gain", {"gain": 1.0}),), 1000.0)
         (lambda: ls.interaction(FRF22, limit_db=float("nan")), "a number of dB"),
         (lambda: ls.interaction(FRF22, bands=((2.0, 1.0),)), "two rising frequencies in Hz; received 2 to 1"),
         (lambda: ls.interaction(FRF22, controllers={"theta9": K}), "a controller is of no loop of this FRF"),
-        (lambda: equivalent_plant(FRF22, ("theta1", "theta2"), "nose", {}), "a loop is not in the FRF"),
-        (lambda: equivalent_plant(FRF22, ("theta1", "theta2"), "theta1", {}), "received none of theta2"),
+        (lambda: closing_the_others(FRF22, ("theta1", "theta2"), "nose", {}), "a loop is not in the FRF"),
+        (lambda: closing_the_others(FRF22, ("theta1", "theta2"), "theta1", {}), "received none of theta2"),
         (lambda: relative_gain(TALL), "those of a square FRF; received 3 x 2"),
         (
             lambda: relative_gain(matrix_frf(np.ones((F.size, 2, 2)))),

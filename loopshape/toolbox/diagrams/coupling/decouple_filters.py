@@ -22,7 +22,7 @@ from loopshape.data.control.fixed import fixed
 from loopshape.data.control.shorthand import controller, gain
 from loopshape.data.response.frf import FRF
 from loopshape.identify.fit import Data, solve
-from loopshape.identify.matrix.interaction import square_part
+from loopshape.identify.matrix.equivalent_plant import square_part
 from loopshape.identify.structures import levy
 
 #: highest order of a filter

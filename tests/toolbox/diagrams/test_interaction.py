@@ -7,8 +7,8 @@ from conversions import db
 from interaction_nouns import F, coupled_by, matrix_frf
 
 import loopshape as ls
-from loopshape.data.algebra import controller_frf, inverse, lower_closure
-from loopshape.identify.matrix.interaction import interaction_coefficient, relative_gain, square_part
+from loopshape.data.algebra import inverse
+from loopshape.toolbox.diagrams.coupling.interaction import interaction_coefficient, relative_gain
 
 NAMES = ("theta1", "theta2")
 
@@ -68,25 +68,6 @@ def test_of_two_loops_relative_gain_and_coefficient_say_the_same():
     np.testing.assert_allclose(found.number, 4.0 * np.abs(found.gain[:, 0, 0] - 1.0))
 
 
-def test_an_equivalent_plant_is_the_closure_with_its_covariance():
-    for names in (NAMES, ("theta1", "theta2", "p_a")):
-        n = len(names)
-        rng = np.random.default_rng(4)
-        root = 0.01 * (rng.standard_normal((F.size, n * n, n * n)) + 1j * rng.standard_normal((F.size, n * n, n * n)))
-        frf = matrix_frf(random_matrix(n), root @ root.conj().transpose(0, 2, 1), loop="+".join(names))
-        found = ls.interaction(frf, controllers=controllers(names=names)).equivalents
-        for i, name in enumerate(names):
-            rest = [k for k in range(n) if k != i]
-            K = controller_frf([controllers(names=names)[names[k]] for k in rest], F,
-                               [frf.outputs[k] for k in rest], [frf.inputs[k] for k in rest])  # fmt: skip
-            minus = type(K)(**{**K.__dict__, "response": -K.response})
-            direct = lower_closure(frf, minus)
-            assert (found[i].loop, found[i].others) == (name, tuple(names[k] for k in rest))
-            np.testing.assert_allclose(found[i].closed.response, direct.response)
-            np.testing.assert_allclose(found[i].closed.covariance, direct.covariance)
-            np.testing.assert_array_equal(found[i].open.siso, frf.response[:, i, i])
-
-
 def test_with_two_loops_closing_one_changes_the_other_by_1_minus_k_T():
     P, C = coupled_by(-6.0), controllers()
     found = ls.interaction(matrix_frf(P, error=0.02), controllers=C)
@@ -107,28 +88,18 @@ def test_an_equivalent_plant_goes_to_the_open_one_as_the_others_open():
     np.testing.assert_allclose(one.closed.covariance, one.open.covariance, rtol=2e-3)
 
 
-def test_loops_are_chosen_by_name_and_rows_follow():
-    P = random_matrix(3)
-    frf = matrix_frf(P, error=0.01, loop="theta1+theta2+p_a")
-    part, names = square_part(frf, ("p_a", "theta1"))
-    assert names == ("p_a", "theta1")
-    assert part.inputs == ("z_p_a_v", "z_theta1_v")
-    assert part.outputs == ("p_a_rad", "theta1_rad")
-    np.testing.assert_array_equal(part.response, P[:, [2, 0]][:, :, [2, 0]])
-    np.testing.assert_allclose(part.variance, frf.variance[:, [2, 0]][:, :, [2, 0]])
+def test_a_notebook_shows_one_line_of_it():
+    shown = repr(ls.interaction(matrix_frf(coupled_by(-40.0), error=0.01)))
+    assert shown == "Interaction of theta1, theta2: 7 of 7 bands decoupled"
+
+
+def test_loops_are_chosen_by_name():
+    frf = matrix_frf(random_matrix(3), error=0.01, loop="theta1+theta2+p_a")
     found = ls.interaction(frf, ("p_a", "theta1"), limit_db=-15.0)
     assert found.coefficients[0].loops == ("p_a", "theta1")
     assert {v.limit_db for v in found.verdicts} == {-15.0}
     assert found.equivalents == ()
     assert len(ls.interaction(frf).coefficients) == 3
-
-
-def test_rows_of_a_tall_matrix_are_found_by_name_or_named():
-    P = np.concatenate([random_matrix(2, 5)[:, :1], random_matrix(2)], axis=1)
-    tall = matrix_frf(P, outputs=("x_m", "theta1_rad", "theta2_rad"))
-    np.testing.assert_array_equal(square_part(tall)[0].response, P[:, 1:])
-    named = square_part(tall, outputs=("x_m", "theta2_rad"))[0]
-    np.testing.assert_array_equal(named.response, P[:, [0, 2]])
 
 
 def test_the_coefficients_bounds_hold_its_estimate_and_open_to_zero_in_noise():

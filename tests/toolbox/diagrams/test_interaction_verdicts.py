@@ -7,7 +7,7 @@ import pytest
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
 import loopshape as ls
-from loopshape.identify.matrix.interaction import interaction, octaves
+from loopshape.toolbox.diagrams.coupling.interaction import interaction, octaves
 
 WIDE = ((0.1, 8.0),)
 

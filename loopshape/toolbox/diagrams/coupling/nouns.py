@@ -1,20 +1,31 @@
 """Coupling between the loops of one plant: coefficient, relative gains, equivalent plants, verdicts by band.
 
 P is the plant of the picture in `loop.loop`, several loops wide: y = P z, loop i closing y_i onto z_i. All
-bounds are of 95 % at one line, of the FRF's own covariance; `identify.matrix.interaction` makes these from an FRF.
+bounds are of 95 % at one line, of the FRF's own covariance; `interaction` makes these from an FRF.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.outcomes import Coupling
+from loopshape.core.outcomes import Graded
 from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.response.frf import FRF
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Coupling(Graded):
+    """What data say of the coupling between two loops in a band."""
+
+    DECOUPLED = "decoupled"
+    UNDECIDED = "undecided"
+    COUPLED = "coupled"
 
 
 def _freeze(noun: object) -> None:
@@ -221,3 +232,9 @@ class Interaction(Plain):
     def sentences(self) -> tuple[str, ...]:
         """A sentence for each pair and band."""
         return tuple(v.sentence for v in self.verdicts)
+
+    def figure(self) -> Figure:
+        """Coefficients, relative gains and equivalent plants over frequency, with bounds and verdicts."""
+        from loopshape.toolbox.diagrams.coupling.picture import interaction_page
+
+        return interaction_page(self)

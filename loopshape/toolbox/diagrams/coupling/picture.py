@@ -10,10 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from loopshape.core.outcomes import Coupling
 from loopshape.core.units import Array, db, deg
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.interaction import BandVerdict, EquivalentPlant, Interaction
+from loopshape.toolbox.diagrams.coupling.nouns import BandVerdict, Coupling, EquivalentPlant, Interaction
 from loopshape.view.labels import expression, number, point, symbol
 from loopshape.view.plots.curves import (
     FLOOR_DB,

@@ -10,9 +10,10 @@ import typer
 
 import loopshape as ls
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder
+from loopshape.verbs.pictures import figures_of, save
 
 if TYPE_CHECKING:
-    from loopshape.data.response.interaction import BandVerdict, Interaction
+    from loopshape.toolbox.diagrams.coupling.nouns import BandVerdict, Interaction
 
 _COLUMNS = ["recordings", "loops", "from [Hz]", "to [Hz]", "lines", "k_I [dB]", "95 % from", "to", "at [Hz]", "verdict"]
 
@@ -35,17 +36,41 @@ def interaction(
 
     From the matrix FRFs of a run; needs `frf RUN --matrix` before.
     """
-    from loopshape.verbs import runs
-    from loopshape.verbs.pictures import draw_interactions, figures_of
-
     output = Output(as_json, quiet)
-    found = runs.interactions(
-        run, _names(loops), controllers=controller, outputs=_names(outputs), limit_db=limit_db, bands=_bands(bands)
-    )
-    drawn = draw_interactions(figures_of(run), found, output) if figures else []
+    found = _of_run(run, _names(loops), controller, outputs=_names(outputs), limit_db=limit_db, bands=_bands(bands))
+    drawn = _draw(figures_of(run), found, output) if figures else []
     _report(run, found, drawn, output)
     if require_decoupled and not all(one.decoupled for one in found):
         raise typer.Exit(1)
+
+
+def _of_run(run: Path, loops: Sequence[str] | None, controllers: Path | None, **options: Any) -> list[Interaction]:
+    """That of each matrix of a run, the others closed by a file's controllers, else by those recorded under."""
+    from loopshape.io.run.run_folder import recorded_under
+    from loopshape.io.write.controllers import read_controllers
+    from loopshape.io.write.frfs import read_all_loops
+
+    closing = recorded_under(run) if controllers is None else read_controllers(controllers)
+    found = []
+    for one in read_all_loops(run):
+        mine = {c.loop: c for c in closing if c.loop in (loops or one.loop.split("+"))}
+        found.append(ls.interaction(one, loops, mine, **options))
+    return found
+
+
+def _draw(folder: Path, found: Sequence[Interaction], output: Output) -> list[str]:
+    """The page of each interaction, and of its matrix, named by recordings and loops."""
+    from loopshape.view.plots.matrix import matrix_page
+
+    drawn = []
+    with output.progress("draw", len(found)) as step:
+        for k, one in enumerate(found):
+            name = f"{one.frf.recording or 'all'}.{'+'.join(one.loops)}"
+            name = name if len(name) < 120 else f"{k + 1}"
+            drawn.append(str(save(matrix_page(one.frf), folder / f"matrix_{name}.png")))
+            drawn.append(str(save(one.figure(), folder / f"interaction_{name}.png")))
+            step(one.frf.recording)
+    return drawn
 
 
 def _names(text: str | None) -> tuple[str, ...] | None:

@@ -3,47 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.special import ndtri
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.outcomes import Coupling
-from loopshape.core.units import Array, ComplexArray, db, from_db
-from loopshape.data.algebra import channels
-from loopshape.data.algebra.propagation import invert
+from loopshape.core.units import Array, ComplexArray, db, deg, from_db
+from loopshape.data.algebra.propagation import invert, pick
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
-from loopshape.data.response.interaction import BandVerdict, Coefficient, Interaction, RelativeGain
-from loopshape.data.signal.channel import Channel
-from loopshape.identify.matrix.equivalent_plant import Reach, equivalent_plant, product_bounds
-from loopshape.identify.tolerances import TOL
-
-#: below it the source takes two joints as decoupled: H.7 of van den Brink, DCT 2007.002
-LIMIT_DB = -20.0
+from loopshape.identify.matrix.equivalent_plant import spread, square_part, with_slopes
+from loopshape.toolbox.diagrams.coupling.bounds import TAIL, Reach, magnitude_bounds, product_bounds
+from loopshape.toolbox.diagrams.coupling.nouns import (
+    BandVerdict,
+    Coefficient,
+    Coupling,
+    EquivalentPlant,
+    Interaction,
+    RelativeGain,
+)
 
 
 def interaction(
-    frf: FRF,
+    P: FRF,
     loops: Sequence[str] | None = None,
     controllers: Mapping[str, Controller] | None = None,
     *,
     outputs: Sequence[str] | None = None,
-    limit_db: float = LIMIT_DB,
-    bands: _Bands | None = None,
+    limit_db: float = -20.0,
+    bands: Sequence[tuple[float, float]] | None = None,
 ) -> Interaction:
-    """How the loops of a matrix FRF meet: k_I of each pair, RGA, equivalent plants, verdicts.
+    """Coupling between the loops of a matrix FRF, frequency by frequency, with 95 % bounds.
 
-    `loops` chooses by name (None: all), `outputs` their rows where names do not tell; `controllers` by loop close the
-    others for the equivalent plants; `bands` in Hz are closed, octaves of the valid band by default. Each pair and
-    band is judged by itself at 95 %: of twenty that lie on the limit, one may be judged wrong.
+    Interaction coefficients, relative gains (Bristol, IEEE Trans. Automatic Control 11(1), 1966) and the plant that a
+    loop meets with the others closed, by `controllers` where those are known, by loop. `outputs` are the loops' rows
+    where names do not tell. Each of the `bands` in Hz (octaves by default) is judged against `limit_db` (-20 dB: H.7 of
+    van den Brink, DCT 2007.002), each pair and band by itself: of twenty that lie on the limit, one may be judged
+    wrong. Raises WrongUseError for an FRF of a single loop.
     """
     if not np.isfinite(limit_db):
         raise WrongUseError("a limit of the interaction is a number of dB", f"{limit_db!r}", "use -20, the source's")
-    square, names = square_part(frf, loops, outputs)
+    square, names = square_part(P, loops, outputs)
     known = controllers or {}
-    stray = sorted(set(known) - set(frf.loop.split("+")) - set(names))
+    stray = sorted(set(known) - set(P.loop.split("+")) - set(names))
     if stray:
         raise WrongUseError(
             "a controller is of no loop of this FRF", ", ".join(stray), f"name them by loop: {', '.join(names)}"
@@ -58,7 +62,7 @@ def interaction(
         coefficients=tuple(interaction_coefficient(square, i, j, (names[i], names[j])) for i, j in pairs),
         relative_gain=relative_gain(square),
         equivalents=tuple(
-            equivalent_plant(square, names, name, known) for name in names if set(names) - {name} <= set(known)
+            closing_the_others(square, names, name, known) for name in names if set(names) - {name} <= set(known)
         ),
         verdicts=tuple(
             verdict
@@ -66,53 +70,6 @@ def interaction(
             for verdict in _band_verdicts(_LoopPair(square, i, j), (names[i], names[j]), float(limit_db), chosen)
         ),
     )
-
-
-def square_part(
-    frf: FRF, loops: Sequence[str] | None = None, outputs: Sequence[str] | None = None, *, least: int = 2
-) -> tuple[FRF, tuple[str, ...]]:
-    """The part of a matrix FRF that loops make, and their names: loop k goes from input k to output k.
-
-    A column is known by its loop's name where the FRF tells its loops, by its input's name otherwise. A row is known by
-    `outputs`, by a channel of the loop's name, or, where the FRF is square, by its place. Loops of the FRF that are
-    left out are open; those that it does not have are as they were when it was measured. Refuses fewer than
-    `least` loops, names that are not there, and rows that cannot be told.
-    """
-    known = tuple(frf.loop.split("+")) if len(frf.loop.split("+")) == len(frf.inputs) else frf.inputs
-    names = tuple(loops) if loops else known
-    if len(names) < least or len(set(names)) < len(names):
-        raise WrongUseError(
-            "interaction is between two loops at least, each once", ", ".join(names),
-            "measure several and estimate their matrix: loopshape frf RUN --matrix",
-        )  # fmt: skip
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise WrongUseError("a loop is not in the FRF", ", ".join(unknown), f"it has {', '.join(known)}")
-    columns = [known.index(name) for name in names]
-    rows = _rows(frf, names, columns) if outputs is None else tuple(outputs)
-    if len(rows) != len(names):
-        raise WrongUseError("each loop has one output", f"{len(rows)} outputs for {len(names)} loops", "name as many")
-    return channels(frf, rows, tuple(frf.inputs[k] for k in columns)), names
-
-
-def _rows(frf: FRF, names: Sequence[str], columns: Sequence[int]) -> tuple[str, ...]:
-    by_name = {_bare(output): output for output in frf.outputs}
-    if all(name in by_name for name in names):
-        return tuple(by_name[name] for name in names)
-    if len(frf.outputs) == len(frf.inputs):
-        return tuple(frf.outputs[k] for k in columns)
-    raise WrongUseError(
-        "each loop needs one output, and the names do not say which",
-        f"{len(frf.outputs)} outputs ({', '.join(frf.outputs)}) for the loops {', '.join(names)}",
-        "name the outputs in the loops' order",
-    )
-
-
-def _bare(column: str) -> str:
-    try:
-        return Channel.from_column(column).name
-    except WrongUseError:
-        return column
 
 
 def interaction_coefficient(frf: FRF, i: int, j: int, loops: tuple[str, str]) -> Coefficient:
@@ -152,6 +109,30 @@ def _deviation(H: ComplexArray, G: ComplexArray, C: ComplexArray) -> Array:
     J = slope.reshape(n * n, n * n)
     variance = np.real(np.einsum("ab,bc,ac->a", J, C, J.conj(), optimize=True))
     return np.sqrt(np.maximum(variance, 0.0)).reshape(n, n)
+
+
+def closing_the_others(
+    frf: FRF, names: Sequence[str], loop: str, controllers: Mapping[str, Controller]
+) -> EquivalentPlant:
+    """What a loop's controller meets with all others closed, over the plant with them open.
+
+    Both err by the same dP, so their relative errors are taken off each other first.
+    """
+    closed, slope = with_slopes(frf, names, loop, controllers)
+    i = list(names).index(loop)
+    own = replace(pick(frf, [i], [i]), loop=loop)
+    by_own = np.zeros_like(slope)
+    by_own[:, i * len(frf.outputs) + i] = 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = closed.siso / own.siso
+        # d(closed/open) = (d closed - ratio d open)/open: finite where the closed plant is zero
+        deviation = np.sqrt(spread((slope - ratio[:, None] * by_own) / own.siso[:, None], frf.covariance))
+        relative = deviation / np.abs(ratio)
+    low, high = magnitude_bounds(np.abs(ratio), deviation, frf.variance_freedom)
+    half_width = np.minimum(high / np.abs(ratio) - 1.0, 1.0)
+    half_width_deg = np.where((low > 0.0) & (half_width < 1.0), deg(np.arcsin(half_width)), 180.0)
+    others = tuple(name for name in names if name != loop)
+    return EquivalentPlant(loop, others, own, closed, ratio, relative, low, high, half_width_deg)
 
 
 _Bands = Sequence[tuple[float, float]]
@@ -206,12 +187,12 @@ def _verdict(pair: _LoopPair, loops: tuple[str, str], limit_db: float, band: tup
 
 
 def _shared_tail(lines: int) -> float:
-    return float(-np.expm1(np.log1p(-TOL.tail) / lines))
+    return float(-np.expm1(np.log1p(-TAIL) / lines))
 
 
 def _word(pair: _LoopPair, lines: np.ndarray, limit: float, more: float) -> tuple[Coupling, np.ndarray]:
     """Verdict on some lines, and which of them are coupled, of so many times the averages."""
-    if np.all(_expected(pair, lines, TOL.tail, more).high < limit):
+    if np.all(_expected(pair, lines, TAIL, more).high < limit):
         return Coupling.DECOUPLED, np.zeros(lines.size, dtype=bool)
     coupled = _expected(pair, lines, _shared_tail(lines.size), more).low > limit
     return (Coupling.COUPLED if coupled.any() else Coupling.UNDECIDED), coupled
@@ -283,7 +264,7 @@ class _LoopPair:
             variance = np.real(np.einsum("fi,fij,fj->f", slope, self.covariance, slope.conj()))
         return np.sqrt(np.maximum(np.where(np.isnan(variance), np.inf, variance), 0.0))
 
-    def bounds(self, lines: np.ndarray, tail: float = TOL.tail, more: float = 1.0) -> Reach:
+    def bounds(self, lines: np.ndarray, tail: float = TAIL, more: float = 1.0) -> Reach:
         """Ends of |k_I| on some lines; with `more` than 1 those to be expected of that many times the averages."""
         H, C = self.elements[lines], self.covariance[lines]
         if more == 1.0:
