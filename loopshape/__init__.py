@@ -62,8 +62,8 @@ if TYPE_CHECKING:
     from loopshape.toolbox.diagrams.coupling.interaction import interaction as interaction
     from loopshape.toolbox.pages.verbs import report as report
     from loopshape.toolbox.pages.verbs import shape as shape
+    from loopshape.toolbox.validation.verbs import compare as compare
     from loopshape.verbs.chain import check as check
-    from loopshape.verbs.chain import compare as compare
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
@@ -106,7 +106,6 @@ _HOME = {
     "Weight": "data.requirement.weight",
     "biquad": "data.control.shorthand",
     "check": "verbs.chain",
-    "compare": "verbs.chain",
     "complex_lead": "data.control.shorthand",
     "controller": "data.control.shorthand",
     "estimate": "verbs.estimates",

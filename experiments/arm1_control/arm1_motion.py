@@ -14,10 +14,10 @@ from source_controllers import angle_controller
 from loopshape.core.units import Array, deg, rad
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.model import TransferFunction
-from loopshape.data.result.prediction import Indicators, StepComparison
+from loopshape.data.result.prediction import Indicators
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.loop.predict.indicators import indicators, recorded_steps, tracking
+from loopshape.loop.predict.indicators import indicators
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.equilibrium import rest
 from loopshape.toolbox.arm.dynamics.model import derivatives
@@ -26,6 +26,8 @@ from loopshape.toolbox.arm.source import value
 from loopshape.toolbox.rig.effects import moves
 from loopshape.toolbox.rig.simulated import header, measure, plan
 from loopshape.toolbox.rig.study import Study
+from loopshape.toolbox.validation.nouns import StepComparison
+from loopshape.toolbox.validation.remeasured import recorded_steps, tracking
 
 P_AB = "p_a_bar + p_b_bar"
 

@@ -13,13 +13,14 @@ from arm2_closed import ClosedLinear2, close2
 from loopshape.core.units import hz, rad
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.signal.experiment import Experiment
-from loopshape.loop.predict.indicators import indicators, recorded_steps
+from loopshape.loop.predict.indicators import indicators
 from loopshape.toolbox.arm.arm2 import Arm2
 from loopshape.toolbox.arm.dynamics.equilibrium2 import pressures2
 from loopshape.toolbox.arm.dynamics.linear2 import Linearisation2, linearise2, linearise_pairs2
 from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2
 from loopshape.toolbox.arm.source import value
 from loopshape.toolbox.arm.strategies2 import DUAL, PAIRS, Strategy
+from loopshape.toolbox.validation.remeasured import recorded_steps
 
 DAMPING = (
     "strategy", "theta2_gain_factor", "gain_v_bar", "pressure_hz", "theta2_hz", "overshoot_percent", "rise_time_s",

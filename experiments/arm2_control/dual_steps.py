@@ -12,10 +12,10 @@ from loopshape.core.units import Array, deg
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
-from loopshape.loop.predict.indicators import recorded_steps
 from loopshape.toolbox.arm.arm2 import Arm2
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import measure
+from loopshape.toolbox.validation.remeasured import recorded_steps
 
 STEPS = (
     "experiment", "loop", "at_s", "size", "unit", "rise_time_s", "settling_time_s", "settling_time_5_s", "overshoot",

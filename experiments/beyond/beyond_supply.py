@@ -20,7 +20,6 @@ from loopshape.data.signal.recording import Recording
 from loopshape.design.tune import Search, tune
 from loopshape.identify.fit import fit, structure_by_name
 from loopshape.identify.frequency_response import estimate_frf
-from loopshape.loop.predict.indicators import recorded_steps
 from loopshape.loop.verdict import check
 from loopshape.toolbox.arm.arm1 import Arm1
 from loopshape.toolbox.arm.dynamics.linear import Linearisation, linearise
@@ -28,6 +27,7 @@ from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, constants
 from loopshape.toolbox.rig.simulated import header, measure
 from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.schedules.schedule import Schedule, schedule
+from loopshape.toolbox.validation.remeasured import recorded_steps
 
 
 @dataclass(frozen=True, eq=False)

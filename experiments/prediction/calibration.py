@@ -17,7 +17,7 @@ sys.path[:0] = [str(HERE.parent.parent / "tests" / "helpers" / name) for name in
 from predicted_loops import NEW, OLD, arm, measured, predicted  # noqa: E402
 
 from loopshape.data.response.model import TransferFunction  # noqa: E402
-from loopshape.loop.predict.prediction import compare, sensitivity_of  # noqa: E402
+from loopshape.toolbox.validation.comparison import compare, sensitivity_of  # noqa: E402
 
 RUNS = 1000
 NOISE = (0.02, 0.05, 0.1)

@@ -37,10 +37,11 @@ from loopshape.io.run.run_folder import read_run
 from loopshape.io.write.controllers import read_controllers, write_controllers
 from loopshape.io.write.predictions import write_predictions
 from loopshape.loop.predict.prediction import predict
-from loopshape.loop.predict.remeasured import Remeasured, remeasure
 from loopshape.loop.verdict import check
+from loopshape.toolbox.validation.pictures import comparison_grid
+from loopshape.toolbox.validation.remeasured import Remeasured, remeasure
 from loopshape.view.style import png
-from loopshape.view.verdict.prediction import comparison_grid, prediction_page
+from loopshape.view.verdict.prediction import prediction_page
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "lab"))
 from plant_behind import plant_behind

@@ -34,7 +34,6 @@ OWN = (
     ("Design", "design.profiles", "profiles --out mine.toml", 40),
     ("Verify", "verify.check", "check runs/axis controller.toml --require requirements.toml", 10),
     ("Verify", "verify.predict", "predict runs/axis controller.toml --out prediction.npz", 20),
-    ("Verify", "verify.compare", "compare runs/after prediction.npz", 30),
     ("Verify", "verify.verify", "verify runs/axis", 50),
 )
 

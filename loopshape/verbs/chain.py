@@ -27,11 +27,10 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.result.prediction import Comparison, Prediction
+    from loopshape.data.result.prediction import Prediction
     from loopshape.data.signal.disturbance import Disturbance
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
-    from loopshape.loop.predict.remeasured import Remeasured
 
 
 def frfs(
@@ -317,50 +316,3 @@ def predict(
             seed=seed,
         )
     )
-
-
-@overload
-def compare(
-    run: FRF | Sequence[FRF], predictions: FRF | Sequence[FRF], *, tolerance_db: float = 0.0
-) -> list[Comparison]: ...
-@overload
-def compare(
-    run: Run | str | Path, predictions: Sequence[Prediction], *, tolerance_db: float = 0.0, frfs: Sequence[FRF] = (),
-    resolution_hz: float | None = None,
-) -> list[Remeasured]: ...  # fmt: skip
-def compare(
-    run: Run | str | Path | FRF | Sequence[FRF],
-    predictions: Sequence[Prediction] | FRF | Sequence[FRF],
-    *,
-    tolerance_db: float = 0.0,
-    frfs: Sequence[FRF] = (),
-    resolution_hz: float | None = None,
-) -> list[Remeasured] | list[Comparison]:
-    """Predictions against a run that was recorded under the predicted controllers: S, steps and profiles.
-
-    Each has `comparisons` with an outcome; all together reject true predictions 5 % of the time. Deviations of |S|
-    of the rms size `tolerance_db` count as none. `frfs` are those of the run that name their controller: they serve
-    where it has no recording that excites the loop; `resolution_hz` is that of new estimates. Raises WrongUseError
-    where no recording belongs to a prediction.
-
-    Two FRFs, or FRFs of two runs (also of import-frf), are compared as plants: each of the second with each of the
-    first that is of its loop and operating point.
-    """
-    from loopshape.data.result.prediction import Prediction
-    from loopshape.identify.settings import Settings
-    from loopshape.loop.predict.prediction import compare_all
-    from loopshape.loop.predict.remeasured import remeasure
-
-    listed = (predictions,) if isinstance(predictions, FRF) else tuple(predictions)
-    plants = [x for x in listed if isinstance(x, FRF)]
-    predictions = [x for x in listed if isinstance(x, Prediction)]
-    if len(predictions if isinstance(run, Run | str | Path) else plants) < len(listed):
-        raise WrongUseError(
-            "a run is compared with predictions, FRFs with FRFs", "both kinds", "make predictions by ls.predict"
-        )
-    if not isinstance(run, Run | str | Path):
-        return compare_all(plants_of(run), plants, tolerance_db=tolerance_db)
-    return remeasure(
-        run if isinstance(run, Run) else read(run), predictions, frfs=frfs,
-        settings=Settings(resolution_hz=resolution_hz), tolerance_db=tolerance_db,
-    )  # fmt: skip

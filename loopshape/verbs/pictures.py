@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from loopshape.data.result.verdict import Verdict
     from loopshape.io.write.check_files import Checks
     from loopshape.loop.loop import Loop
-    from loopshape.loop.predict.remeasured import Remeasured
 
 
 FIGURES = "figures"  # the folder of a run's pictures
@@ -179,19 +178,3 @@ def draw_predictions(out: Path, made: Sequence[Prediction]) -> list[str]:
     loops = dict.fromkeys(one.loop for one in made)
     pages = ((f"{out.stem}_{name}", prediction_page([one for one in made if one.loop == name])) for name in loops)
     return _saved(out.parent, pages)
-
-
-def draw_remeasured(folder: Path, found: Sequence[Remeasured]) -> list[str]:
-    """Predicted over measured of each loop: sensitivities, and steps where there are any."""
-    from loopshape.view.verdict.prediction import comparison_grid, steps_grid
-
-    drawn = []
-    for loop in dict.fromkeys(one.prediction.loop for one in found):
-        mine = [one for one in found if one.prediction.loop == loop]
-        seen = [(one.prediction, frf, c) for one in mine for frf, c in zip(one.measured, one.comparisons, strict=True)]
-        if seen:
-            figure = comparison_grid([p for p, _, _ in seen], [m for _, m, _ in seen], [c for _, _, c in seen])
-            drawn += _saved(folder, [(f"compare_{loop}", figure)])
-        if steps := [s for one in mine for s in one.steps]:
-            drawn += _saved(folder, [(f"steps_{loop}", steps_grid(steps))])
-    return drawn

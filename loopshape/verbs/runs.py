@@ -8,31 +8,27 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.outcomes import Agreement, ClosedLoop, Outcome
+from loopshape.core.outcomes import ClosedLoop, Outcome
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.profile import Profile, zone_shares
 from loopshape.data.requirement.requirements import Requirements
-from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.data.result.prediction import Comparison, Prediction
+from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict_words import page_text
 from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.folder_lock import locked
 from loopshape.io.requirements import joined, profile_of, read_required, read_requirements
 from loopshape.io.write.controllers import read_controllers
 from loopshape.io.write.fits import fits_of, write_fits
-from loopshape.io.write.frfs import FOLDER, has_any, read_all_loops, read_frfs
-from loopshape.io.write.predictions import read_predictions
+from loopshape.io.write.frfs import read_all_loops, read_frfs
 from loopshape.io.write.verdicts import write_verdicts
 from loopshape.verbs import chain
-from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
     from loopshape.io.write.check_files import Baseline, Checks
-    from loopshape.loop.predict.remeasured import Remeasured
 
 
 def fit(
@@ -277,35 +273,3 @@ def predict(
             made += chain.predict(mine, own, asked.get(own.loop), fits=fits, seed=seed)
             step(own.loop)
     return tuple(made)
-
-
-@dataclass(frozen=True, eq=False)
-class ComparedRun:
-    """A run against predictions, each with all that was measured of it, or its FRFs against those of another run."""
-
-    comparisons: tuple[Comparison, ...]
-    predictions: tuple[Remeasured, ...] | None = None
-
-    @property
-    def outcome(self) -> Agreement:
-        """The worst of all comparisons."""
-        found = [one.outcome for one in self.comparisons]
-        return Agreement.worst(found) if found else Agreement.CANNOT_TELL
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether all comparisons confirm what was predicted."""
-        return self.outcome is Agreement.CONFIRMED
-
-
-def compare(
-    run: Path, prediction: Path, *, tolerance_db: float = 0.0, resolution_hz: float | None = None
-) -> ComparedRun:
-    """A run against a file of predictions, or its FRFs against those of another run; settings as in `ls.compare`."""
-    if has_any(prediction, FOLDER):
-        return ComparedRun(tuple(chain.compare(read_frfs(run), read_frfs(prediction), tolerance_db=tolerance_db)))
-    frfs: tuple[FRF, ...] = read_frfs(run) if has_any(run, FOLDER) else ()
-    found = chain.compare(
-        read(run), read_predictions(prediction), frfs=frfs, resolution_hz=resolution_hz, tolerance_db=tolerance_db
-    )
-    return ComparedRun(tuple(c for one in found for c in one.comparisons), tuple(found))

@@ -1,14 +1,14 @@
-"""Pictures of predictions show the data that they are given."""
+"""The picture of predictions shows the data that it is given."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import Block, Step, StepComparison
+from bench_nouns import Block, Step
 
 import loopshape as ls
 from loopshape.loop.predict.indicators import indicators
-from loopshape.loop.predict.prediction import compare, sensitivity_of
-from loopshape.view.style import png
-from loopshape.view.verdict.prediction import comparison_grid, prediction_page, steps_grid
+from loopshape.view.verdict.prediction import prediction_page
 
 GAIN = ls.Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
 T = np.linspace(0.0, 2.0, 200)
@@ -22,7 +22,7 @@ def sensitivity(point: float, gain: float = 1.0) -> ls.FRF:
         ("theta2_rad",), "made", recording=f"r{point:g}", loop="theta2", rate_hz=1000.0, recorded_under=GAIN,
         operating_point={"theta2_deg": point},
     )  # fmt: skip
-    return sensitivity_of(frf)
+    return replace(frf, response=1.0 / (1.0 + 5.0 * frf.response))
 
 
 def step() -> Step:
@@ -48,32 +48,6 @@ def test_a_prediction_shows_s_t_and_the_step_with_bands() -> None:
     assert "[s]" in answer.get_xlabel()
 
 
-def test_a_comparison_shows_both_and_shades_where_it_fails() -> None:
-    made = predictions()
-    measured = [sensitivity(0.0), sensitivity(15.0, gain=0.6)]
-    found = [compare(p, m) for p, m in zip(made, measured, strict=True)]
-    figure = comparison_grid(made, measured, found)
-    held, failed = figure.axes[:2]
-    assert [c.outcome for c in found] == ["confirmed", "refuted"]
-    assert len(failed.patches) == len(held.patches) + 1
-    assert np.allclose(failed.lines[1].get_ydata(), 20.0 * np.log10(np.abs(measured[1].siso)))
-    assert "dB" in failed.texts[0].get_text()
-    assert png(figure).startswith(b"\x89PNG")
-
-
-def test_steps_are_drawn_over_the_predicted_band() -> None:
-    response = 1.1 * (1.0 - np.exp(-5.0 * T))
-    one = StepComparison(
-        "r", "theta2", {"theta2_deg": 0.0}, 1.0, 0.1, indicators(T, response), T, response, step(), 0.5, 0.1, 2.0
-    )
-    figure = steps_grid([one])
-    ax = figure.axes[0]
-    assert np.allclose(ax.lines[0].get_ydata(), response)
-    assert np.allclose(ax.lines[1].get_ydata(), step().response)
-    assert "10 %" in ax.texts[0].get_text()
-
-
-def test_pictures_of_nothing_are_refused() -> None:
-    for call in (lambda: prediction_page([]), lambda: comparison_grid([], [], []), lambda: steps_grid([])):
-        with pytest.raises(ls.errors.WrongUseError):
-            call()
+def test_a_picture_of_nothing_is_refused() -> None:
+    with pytest.raises(ls.errors.WrongUseError):
+        prediction_page([])

@@ -6,7 +6,7 @@ from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variab
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
-from loopshape.data.result.prediction import INDICATORS, Indicators, Step, StepComparison
+from loopshape.data.result.prediction import INDICATORS, Indicators, Step
 from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Sampled, Staircase, Sweep
@@ -49,7 +49,6 @@ __all__ = [
     "Settings",
     "Staircase",
     "Step",
-    "StepComparison",
     "Sweep",
     "ThirdOrder",
     "TransferFunction",

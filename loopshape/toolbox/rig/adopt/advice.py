@@ -13,15 +13,15 @@ from loopshape.core.outcomes import Agreement, Graded, Outcome
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Comparison
 from loopshape.data.result.verdict import SettledBy, Verdict
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.data.signal.run import Run
 from loopshape.identify.disturbance import disturbances_in
-from loopshape.loop.predict.remeasured import remeasure
 from loopshape.loop.tolerances import TOL
 from loopshape.toolbox.rig.adopt.course import TrialSettings
 from loopshape.toolbox.rig.adopt.forecast import Forecast, forecast, foresee
+from loopshape.toolbox.validation.nouns import Comparison
+from loopshape.toolbox.validation.remeasured import remeasure
 
 #: a recipe without a plant: so many lines, S on each to this std, after so many seconds; its band as shares of the rate
 LINES, ACCURACY, SECONDS, BAND = 100, 0.05, 60.0, (5e-4, 0.2)

@@ -17,15 +17,15 @@ from loopshape.core.units import from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Comparison
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
-from loopshape.loop.predict.prediction import compare
 from loopshape.toolbox.rig.adopt.blend import blended
 from loopshape.toolbox.rig.adopt.forecast import SHARES, Forecast, Foreseen, forecast, foresee
 from loopshape.toolbox.rig.adopt.watched import Expected, Periods, watch_of
 from loopshape.toolbox.rig.target.trial import Phase, Progress, Watch
+from loopshape.toolbox.validation.comparison import compare
+from loopshape.toolbox.validation.nouns import Comparison
 
 #: of so many periods more is a share's recording that decides nothing, once
 LONGER = 3.0

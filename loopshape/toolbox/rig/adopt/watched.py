@@ -23,8 +23,8 @@ from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.disturbed import disturbed
-from loopshape.loop.predict.agreement import tail
 from loopshape.toolbox.rig.target.trial import Watch
+from loopshape.toolbox.validation.agreement import tail
 
 #: room of a rms and of a peak beyond their prediction (`experiments/adopt` counts what it costs)
 RMS_ROOM, PEAK_ROOM = 1.25, 1.5

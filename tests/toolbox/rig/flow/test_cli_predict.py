@@ -13,10 +13,9 @@ from typer.testing import CliRunner, Result
 import loopshape as ls
 from loopshape.cli.estimate.fit import fit_run
 from loopshape.cli.output import Output
-from loopshape.cli.verify.compare import compare
 from loopshape.cli.verify.predict import predict
-from loopshape.loop.predict.remeasured import remeasure
 from loopshape.toolbox.rig.commands.measure import measure
+from loopshape.toolbox.validation.command import compare
 
 app = typer.Typer()
 for command in (measure, predict, compare):
@@ -158,7 +157,7 @@ def test_a_run_under_another_controller_is_refused(folder: Path, tmp_path: Path)
 def test_the_loop_that_ran_passes_a_check_of_its_recordings(folder: Path) -> None:
     """The plant behind the measured sensitivity, held against requirements: what ran, and not what was identified."""
     again = ls.read(folder / "new")
-    found = remeasure(again, read_predictions(folder / "prediction.npz"), tolerance_db=1.5)
+    found = ls.compare(again, read_predictions(folder / "prediction.npz"), tolerance_db=1.5)
     plants = [plant_behind(frf, again.loop("theta2").control) for one in found for frf in one.measured]
     required = ls.Requirements(
         "theta2", sensitivity_peak_db=9.0, phase_margin_deg=25.0, integrators=1, unstable_poles=0

@@ -11,9 +11,9 @@ from run_files import read_predictions, write_predictions
 
 import loopshape as ls
 from loopshape.identify.frequency_response import estimate_sensitivity
-from loopshape.loop.predict.prediction import compare, predict, sensitivity_of
-from loopshape.loop.predict.remeasured import remeasure
+from loopshape.loop.predict.prediction import predict
 from loopshape.toolbox.rig.verbs.machine import blocks_of
+from loopshape.toolbox.validation.comparison import compare, sensitivity_of
 
 GAIN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 
@@ -64,7 +64,7 @@ def test_nothing_to_predict_from_and_nothing_that_belongs_are_refused() -> None:
         predict([], GAIN)
     run = ls.Run(1000.0, (LoopSetup("a", None, None, "z_v", "a_rad", GAIN),), ())
     with pytest.raises(ls.errors.WrongUseError, match="no recording of the run belongs"):
-        remeasure(run, [prediction()])
+        ls.compare(run, [prediction()])
 
 
 def test_damaged_and_foreign_prediction_files_are_refused(tmp_path: Path) -> None:

@@ -29,8 +29,8 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array, ComplexArray, db, from_db
 from loopshape.data.algebra import regrid
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Band
 from loopshape.loop.tolerances import TOL
+from loopshape.toolbox.validation.nouns import Band
 
 #: a band is this wide at least
 BAND_OCTAVES = 0.5

@@ -12,8 +12,8 @@ from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 from loopshape.cli.verify.predict import STEP_COLUMNS
 
 if TYPE_CHECKING:
-    from loopshape.data.result.prediction import Comparison, StepComparison
-    from loopshape.loop.predict.remeasured import Remeasured
+    from loopshape.toolbox.validation.nouns import Comparison, StepComparison
+    from loopshape.toolbox.validation.remeasured import Remeasured
 
 
 def compare(
@@ -34,11 +34,12 @@ def compare(
     Each confirmed, or where not and by how much; exit code 0 where all are. With another run, also one of import-frf,
     in the place of predictions the FRFs of both are compared.
     """
-    from loopshape.verbs import runs
-    from loopshape.verbs.pictures import draw_remeasured, figures_of
+    from loopshape.toolbox.validation.pictures import draw_remeasured
+    from loopshape.toolbox.validation.verbs import compare_run
+    from loopshape.verbs.pictures import figures_of
 
     output = Output(as_json, quiet)
-    found = runs.compare(run, prediction, tolerance_db=tolerance_db, resolution_hz=resolution_hz)
+    found = compare_run(run, prediction, tolerance_db=tolerance_db, resolution_hz=resolution_hz)
     if found.predictions is None:
         _report_two_runs(found.comparisons, output)
         output.say(f"FRFs: {found.outcome}")
