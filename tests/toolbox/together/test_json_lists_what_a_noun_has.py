@@ -13,7 +13,7 @@ for name in (
     "toolbox.schedules.schedule",
     "design.turns",
     "toolbox.planning.plan",
-    "loop.predict.remeasured",
+    "toolbox.validation.remeasured",
 ):
     importlib.import_module(f"loopshape.{name}")
 importlib.import_module("loopshape.io.write.check_files")
