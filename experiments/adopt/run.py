@@ -15,10 +15,10 @@ import numpy as np
 from scipy.linalg import expm
 
 import loopshape as ls
-from loopshape.data.signal.multisine import Multisine
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.rig.adopt.blend import track_share
 from loopshape.toolbox.rig.adopt.course import Adopted, Trial, TrialSettings, adopt
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 from loopshape.toolbox.rig.simulated import experiment, plan
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 from loopshape.toolbox.rig.target.trial import Phase, Progress, Why

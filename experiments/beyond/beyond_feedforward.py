@@ -11,7 +11,6 @@ from scipy.interpolate import CubicSpline
 
 from loopshape.core.units import Array, angular, deg, rad
 from loopshape.data.control.controller import Controller
-from loopshape.data.signal.excitation import Profile
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording
 from loopshape.toolbox.arm.arm1 import Arm1
@@ -19,6 +18,7 @@ from loopshape.toolbox.arm.dynamics.equilibrium import LOWEST_BAR
 from loopshape.toolbox.arm.dynamics.linear import linearise
 from loopshape.toolbox.arm.dynamics.model import derivatives
 from loopshape.toolbox.arm.parameters import ARM1_PARAMETERS, P_IN, constants
+from loopshape.toolbox.rig.excitation.setpoints import Profile
 
 RATE_HZ = 1000.0
 

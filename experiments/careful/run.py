@@ -14,8 +14,8 @@ import numpy as np
 from scipy.signal import cont2discrete
 
 import loopshape as ls
-from loopshape.data.signal.multisine import Multisine
 from loopshape.data.signal.recording import Recording, RecordingInfo
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 from loopshape.toolbox.rig.settings import Limit
 from loopshape.toolbox.rig.simulated import plan
 from loopshape.toolbox.rig.steps.course import Course, StoppedAtLimitError

@@ -18,7 +18,7 @@ from scipy.stats import binom
 
 import loopshape as ls
 from loopshape.core.units import TWO_PI
-from loopshape.data.signal.excitation import Multisine
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 
 HERE = Path(__file__).parent
 RATE_HZ = 500.0

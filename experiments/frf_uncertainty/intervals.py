@@ -24,11 +24,12 @@ from scipy.stats import f as f_distribution
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
-from loopshape.data.signal.excitation import Multisine, Sweep
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.identify.matrix.matrix import estimate_matrix
 from loopshape.identify.settings import Settings
+from loopshape.toolbox.rig.excitation.excitation import Sweep
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 from loopshape.toolbox.rig.files.excitation_sets import orthogonal
 
 BAND_HZ = (1.0, 15.0)

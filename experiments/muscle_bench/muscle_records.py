@@ -11,11 +11,11 @@ from muscle_law import Muscle, pulls
 
 from loopshape.core.units import Array, angular
 from loopshape.data.response.frf import FRF
-from loopshape.data.signal.excitation import BandNoise
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.settings import Settings
 from loopshape.toolbox.arm.source import value
+from loopshape.toolbox.rig.excitation.excitation import BandNoise
 
 LOOP = LoopSetup("muscle", None, None, "h_m", "pull_n", None)
 

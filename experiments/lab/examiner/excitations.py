@@ -10,7 +10,8 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, rad
 from loopshape.data.control.controller import Controller
-from loopshape.data.signal.excitation import Profile, ramp
+from loopshape.toolbox.rig.excitation.excitation import ramp
+from loopshape.toolbox.rig.excitation.setpoints import Profile
 
 RATE_HZ = 1000.0
 PERIOD_S, PERIODS, RAMP_S = 10.0, 4, 1.0

@@ -13,7 +13,7 @@ from loopshape.core.gate import gated, pass_fields
 from loopshape.core.units import Array
 from loopshape.data.arrays import number, rate, real_array
 from loopshape.data.control.controller import Controller
-from loopshape.data.signal.excitation_parts import KNOWN_REPEATED, REPEATED, is_sweep, rows_of_a_period
+from loopshape.data.signal.excitation_kind import KNOWN_REPEATED, REPEATED, is_sweep, rows_of_a_period
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from loopshape.core.stretches import AT_ONCE, LongSignal, Signal, extent
 from loopshape.core.units import Array
-from loopshape.data.signal.excitation_parts import zero_crossings
+from loopshape.data.signal.excitation_kind import zero_crossings
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
 from loopshape.identify.local.sweeps import by_sweep

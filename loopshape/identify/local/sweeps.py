@@ -21,7 +21,7 @@ import numpy as np
 from loopshape.core.errors import BadSignalError
 from loopshape.core.stretches import AT_ONCE, Signal
 from loopshape.core.units import Array, ComplexArray
-from loopshape.data.signal.excitation_parts import zero_crossings
+from loopshape.data.signal.excitation_kind import zero_crossings
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.answers import Answers
 from loopshape.identify.local.local_models import Fits, Shape, influences, solve, window_moments

@@ -20,7 +20,7 @@ from scipy.special import fdtrc
 
 from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import Array
-from loopshape.data.signal.excitation_parts import is_sweep, zero_crossings
+from loopshape.data.signal.excitation_kind import is_sweep, zero_crossings
 from loopshape.identify.tolerances import TOL
 
 #: samples of the past that enter one by one, how far means over stretches go on, and how far into the future

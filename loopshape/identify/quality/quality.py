@@ -9,7 +9,7 @@ import numpy as np
 from loopshape.core.kernels.spectra import cross_spectra
 from loopshape.core.stretches import LongSignal, Signal, extent, stretches
 from loopshape.core.units import Array, ComplexArray, deg
-from loopshape.data.signal.excitation_parts import rows_of_a_period
+from loopshape.data.signal.excitation_kind import rows_of_a_period
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.identify.quality.feedback_check import (

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
-from loopshape.data.signal.excitation import Excitation
 from loopshape.toolbox.gap.nouns.effect import Spread
 from loopshape.toolbox.gap.nouns.plant import ParameterTable
+from loopshape.toolbox.rig.excitation.excitation import Excitation
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study, merged_effects
 
 MOST = 10_000_000  # machines: more is a slip of the pen

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from loopshape.core.errors import UnreadableInputError, WrongUseError
-from loopshape.data.signal.excitation import Sampled
 from loopshape.io.files import read_json, reading, write_json, write_text_whole
 from loopshape.io.run.tables import TIME, TableColumns
 from loopshape.toolbox.learning.next_trial import NextTrial
 from loopshape.toolbox.learning.noun import Learning
 from loopshape.toolbox.learning.taps import Feedforward
+from loopshape.toolbox.rig.excitation.setpoints import Sampled
 
 FORMAT = "loopshape-learning/1"
 _COLUMN = "feedforward_"

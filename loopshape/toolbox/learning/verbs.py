@@ -7,10 +7,10 @@ from numpy.typing import ArrayLike
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
-from loopshape.data.signal.excitation import Profile
 from loopshape.design.tune import Tuning
 from loopshape.toolbox.learning.taps import Feedforward
 from loopshape.toolbox.learning.tracking import TrackingError, tracking_error_of
+from loopshape.toolbox.rig.excitation.setpoints import Profile
 
 
 def tracking_error(

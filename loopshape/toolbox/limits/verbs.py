@@ -1,13 +1,11 @@
-"""What is possible under requirements: the bound, a controller of a given order near it, what one for all costs."""
+"""What is possible under requirements: the bound, and a controller of a given order near it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.shorthand import bounded
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.model import Fit
 from loopshape.design.tune import Tuning
@@ -15,7 +13,6 @@ from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants
 
 if TYPE_CHECKING:
     from loopshape.toolbox.limits.bound import Bound
-    from loopshape.toolbox.schedules.schedule import Schedule
 
 
 def bound(P: Plants, C: Controller | Tuning, R: Requirements, *, fits: Sequence[Fit] = ()) -> Bound:
@@ -55,29 +52,3 @@ def max_order_design(
 
     plants, asked = equivalent_plants(P, R)
     return reach_order(plants, controller_of(C), asked, order, tuple(fits), seed=seed)
-
-
-def schedule(
-    P: Plants, R: Requirements, C: Controller | Tuning, *, fits: Sequence[Fit] = (), seed: int = 0, starts: int = 16
-) -> Schedule:
-    """What one robust controller `C` costs in bandwidth, beside one tuned for each operating point alone under `R`.
-
-    `points` of the answer hold own, robust and unreachable bandwidth in Hz of each. Same input and seed, same answer.
-    Misleads: a controller switched between the points is no loop that was checked. Raises WrongUseError where `C` is
-    not of the structure of `R`.
-
-    Examples
-    --------
-    >>> import numpy as np, loopshape as ls
-    >>> f_hz = np.geomspace(1.0, 400.0, 40)
-    >>> P = ls.FRF.from_arrays(f_hz, 50.0 / (2j * np.pi * f_hz), relative_std=0.01, rate_hz=5000.0)
-    >>> R = ls.Requirements(sensitivity_peak_db=6.0, control_peak_db=6.0, unstable_poles=0, structure=(ls.gain(),))
-    >>> found = ls.schedules.schedule(P, R, ls.controller(ls.gain(0.5), rate_hz=5000.0), starts=1)
-    >>> bool(found.points[0].cost_hz > 0.0)
-    True
-    """
-    from loopshape.toolbox.schedules.schedule import schedule as schedule_loop
-
-    plants, R = equivalent_plants(P, R)
-    asked = replace(R, structure=bounded(R.structure, plants))
-    return schedule_loop(plants, asked, controller_of(C), tuple(fits), seed=seed, starts=starts)

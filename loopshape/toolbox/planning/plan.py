@@ -17,7 +17,6 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.units import SUFFIXES, Array
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.channel import Channel
-from loopshape.data.signal.multisine import Multisine
 from loopshape.toolbox.planning import plan_words
 from loopshape.toolbox.planning.plan_floor import own_floor, planned_floor
 from loopshape.toolbox.planning.plan_lines import (
@@ -30,6 +29,7 @@ from loopshape.toolbox.planning.plan_lines import (
 )
 from loopshape.toolbox.planning.plan_nouns import Plan, Required
 from loopshape.toolbox.planning.plan_record import FirstRecord, between
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 
 #: periods that a plan has at least: fewer hardly tell noise from response
 LEAST_PERIODS = 4

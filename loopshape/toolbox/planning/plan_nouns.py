@@ -11,9 +11,9 @@ from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.gate import pass_fields
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
-from loopshape.data.signal.multisine import Multisine
 from loopshape.toolbox.planning import plan_words
 from loopshape.toolbox.planning.plan_lines import KINDS
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 
 
 @dataclass(frozen=True)

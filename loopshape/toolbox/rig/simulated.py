@@ -13,12 +13,13 @@ from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import SUFFIXES, Array
 from loopshape.data.control.controller import Controller
 from loopshape.data.signal.channel import Channel
-from loopshape.data.signal.excitation import Sampled, samples
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.toolbox.gap.nouns.plant import Plant
 from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.excitation.excitation import samples
+from loopshape.toolbox.rig.excitation.setpoints import Sampled
 from loopshape.toolbox.rig.steps.supervisor import within
 from loopshape.toolbox.rig.study import ExperimentTemplate, Setpoint, Study
 

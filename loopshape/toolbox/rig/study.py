@@ -9,9 +9,10 @@ from typing import Any
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.data.signal.excitation import Excitation, Profile, Sampled, Staircase
 from loopshape.data.signal.experiment import ExperimentSettings, LoopSetup
 from loopshape.toolbox.diagrams.wired import Wired
+from loopshape.toolbox.rig.excitation.excitation import Excitation
+from loopshape.toolbox.rig.excitation.setpoints import Profile, Sampled, Staircase
 from loopshape.toolbox.rig.files.excitation_sets import MOST_REALISATIONS, realised, together
 from loopshape.toolbox.rig.settings import Limit, TargetSettings
 from loopshape.toolbox.rig.steps.escalation import Escalation

@@ -11,9 +11,9 @@ from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
     from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
-    from loopshape.toolbox.limits.verbs import schedule as schedule
-    from loopshape.toolbox.schedules.interpolated import gain_scheduled as gain_scheduled
-    from loopshape.toolbox.schedules.interpolated import read_gain_scheduled as read_gain_scheduled
+    from loopshape.toolbox.schedules.verbs import gain_scheduled as gain_scheduled
+    from loopshape.toolbox.schedules.verbs import read_gain_scheduled as read_gain_scheduled
+    from loopshape.toolbox.schedules.verbs import schedule as schedule
 
 TOOLBOX = Toolbox(
     "schedules",
@@ -29,9 +29,9 @@ TOOLBOX = Toolbox(
     ),
     names={
         "GainScheduled": "loopshape.data.control.gain_scheduled",
-        "gain_scheduled": "loopshape.toolbox.schedules.interpolated",
-        "read_gain_scheduled": "loopshape.toolbox.schedules.interpolated",
-        "schedule": "loopshape.toolbox.limits.verbs",
+        "gain_scheduled": "loopshape.toolbox.schedules.verbs",
+        "read_gain_scheduled": "loopshape.toolbox.schedules.verbs",
+        "schedule": "loopshape.toolbox.schedules.verbs",
     },
     pictures={"atlas": "loopshape.toolbox.schedules.atlas:sensitivity_atlas"},
 )

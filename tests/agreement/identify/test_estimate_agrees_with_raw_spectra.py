@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from bench_nouns import Block, LoopSetup, Multisine, RecordingInfo
+from bench_nouns import Block, LoopSetup, RecordingInfo
+from excitations import multisine
 from scipy.signal import csd, freqz, lfilter
 
 import loopshape as ls
@@ -76,7 +77,7 @@ def test_without_its_minus_the_sources_formula_would_be_another_plant():
     assert np.all(np.abs(frf.siso + source) > 1.9 * np.abs(source))
 
 
-PERIODIC = Multisine(0.25, 40.0, 4.0, 1.0, periods=8, seed=1).signal(RATE)
+PERIODIC = multisine(0.25, 40.0, 4.0, RATE, periods=8, seed=1)
 CASES = {
     "segments": (np.random.default_rng(1).standard_normal(20000), {}),
     "periods": (PERIODIC, {"period_s": 4.0, "periodic_from_s": 1.0}),

@@ -9,7 +9,6 @@ from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
 from loopshape.data.result.prediction import INDICATORS, Indicators, Step
 from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.signal.channel import Channel
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Sampled, Staircase, Sweep
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.settings import Settings
@@ -20,7 +19,6 @@ __all__ = [
     "INDICATORS",
     "LIMITS",
     "LIMIT_OF",
-    "BandNoise",
     "Block",
     "BlockTemplate",
     "Channel",
@@ -36,20 +34,14 @@ __all__ = [
     "LoopSetup",
     "Lost",
     "MovedResonance",
-    "Multisine",
-    "Prbs",
     "Precision",
-    "Profile",
     "Rational",
     "Reach",
     "Recording",
     "RecordingInfo",
     "RequirementResult",
-    "Sampled",
     "Settings",
-    "Staircase",
     "Step",
-    "Sweep",
     "ThirdOrder",
     "TransferFunction",
     "Variable",

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import pytest
-from bench_nouns import Multisine, Staircase, Sweep
 from simulated_machines import FORMS, Arm1, ExperimentTemplate, header, measure
+from study_signals import Multisine, Staircase, Sweep
 
 import loopshape as ls
 from loopshape.cli.main import run as command

@@ -11,7 +11,7 @@ import pytest
 from run_files import verify
 
 import loopshape as ls
-from loopshape.toolbox.campaign.cluster import BATCH_S, _next_count
+from loopshape.toolbox.campaign.parallel import BATCH_S, _next_count
 
 POINTS = ", ".join(f"{{ theta2_deg = {k / 5 - 10:g}, p_ab_bar = 1.0 }}" for k in range(100))
 STUDY = f"""

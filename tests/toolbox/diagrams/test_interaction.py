@@ -7,7 +7,6 @@ from conversions import db
 from interaction_nouns import F, coupled_by, matrix_frf
 
 import loopshape as ls
-from loopshape.data.algebra import inverse
 from loopshape.toolbox.diagrams.coupling.interaction import interaction_coefficient, relative_gain
 
 NAMES = ("theta1", "theta2")
@@ -47,7 +46,7 @@ def test_k_has_the_same_value_for_other_units_and_for_the_inverse():
     k = k_of(P).coefficient
     scaled = np.diag([3.0, 1e-3]) @ P @ np.diag([0.2j, 50.0])
     np.testing.assert_allclose(k_of(scaled).coefficient, k)
-    np.testing.assert_allclose(interaction_coefficient(inverse(matrix_frf(P)), 0, 1, NAMES).coefficient, k)
+    np.testing.assert_allclose(k_of(np.linalg.inv(P)).coefficient, k)
 
 
 def test_relative_gains_sum_to_one_and_are_one_for_a_triangular_plant():

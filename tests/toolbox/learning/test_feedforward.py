@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import Experiment, Profile
+from bench_nouns import Experiment
 from commands import invoked
 from run_files import write_frfs
 from scipy.signal import lfilter
 from scipy.stats import binom
 from simulated_machines import Arm1
+from study_signals import Profile
 
 import loopshape as ls
 from loopshape.toolbox.learning.verbs import setpoint_of

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_nouns import Multisine
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.toolbox.planning.plan_lines import (

@@ -5,9 +5,9 @@ from dataclasses import replace
 import known_loops as known
 import numpy as np
 import pytest
-from bench_nouns import BandNoise, Multisine, Sweep
 from conversions import TWO_PI
 from scipy.signal import lfilter
+from study_signals import BandNoise, Multisine, Sweep
 
 from loopshape.identify.frequency_response import estimate_frf, estimate_realisations
 from loopshape.toolbox.planning.plan import plan

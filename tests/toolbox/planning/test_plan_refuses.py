@@ -3,7 +3,8 @@
 import known_loops as known
 import numpy as np
 import pytest
-from bench_nouns import LoopSetup, Multisine
+from bench_nouns import LoopSetup
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.toolbox.planning.plan import plan

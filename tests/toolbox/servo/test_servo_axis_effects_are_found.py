@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import Experiment, Multisine
+from bench_nouns import Experiment
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.toolbox.gap.diagnose import attribute

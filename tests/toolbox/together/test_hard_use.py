@@ -16,9 +16,9 @@ import pytest
 from bench_nouns import Block, Channel, Experiment, LoopSetup, RecordingInfo
 from run_files import CsvShape, add_recording, finished, read_toml, start_run, verify, write_frfs, write_toml
 from simulated_machines import Arm1, read_study
+from study_signals import Multisine
 
 import loopshape as ls
-from loopshape.data.signal.multisine import Multisine
 from loopshape.io.csv_text import read_csv_table
 from loopshape.io.folder_lock import alone
 from loopshape.io.run.journal import FILE as JOURNAL

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from bench_nouns import Estimate, LoopSetup, Multisine, RecordingInfo
+from bench_nouns import Estimate, LoopSetup, RecordingInfo
 from conversions import TWO_PI
+from study_signals import Multisine
 from typer.testing import CliRunner
 
 import loopshape as ls

@@ -11,8 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from loopshape.core.units import Array, rad
-from loopshape.data.signal.excitation import Multisine, Profile, Staircase
 from loopshape.data.signal.recording import Recording
+from loopshape.toolbox.rig.excitation.multisine import Multisine
+from loopshape.toolbox.rig.excitation.setpoints import Profile, Staircase
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 MIDDLE = {"theta2_deg": 15.0, "p_ab_bar": 1.0}

@@ -14,7 +14,7 @@ import numpy as np
 
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import Array
-from loopshape.data.signal.excitation_parts import is_sweep, rows_of_a_period
+from loopshape.data.signal.excitation_kind import is_sweep, rows_of_a_period
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.identify.frequency_response import estimate_frf

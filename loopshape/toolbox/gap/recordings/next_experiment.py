@@ -17,7 +17,6 @@ import numpy as np
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.units import Array, rad
 from loopshape.data.signal.channel import Channel, sum_terms
-from loopshape.data.signal.excitation import Multisine, Staircase
 from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
@@ -25,6 +24,8 @@ from loopshape.toolbox.gap.diagnose.evidence import Moves
 from loopshape.toolbox.gap.nouns.gap_report import Proposal
 from loopshape.toolbox.gap.nouns.plant import Plant
 from loopshape.toolbox.gap.recordings.probing import Habits, habits, sampled
+from loopshape.toolbox.rig.excitation.multisine import Multisine
+from loopshape.toolbox.rig.excitation.setpoints import Staircase
 from loopshape.toolbox.rig.study import ExperimentTemplate, Study
 
 PERIOD_S, RAMP_S, LEAD_S, PERIODS = 10.0, 1.0, 1.0, 2

@@ -9,9 +9,10 @@ from functools import lru_cache
 import numpy as np
 
 from loopshape.core.units import Array
-from loopshape.data.signal.excitation import Multisine, samples
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
+from loopshape.toolbox.rig.excitation.excitation import samples
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 from loopshape.toolbox.rig.study import ExperimentTemplate
 
 

@@ -15,7 +15,7 @@ from loopshape.data.arrays import rate, real_array
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.estimates import Remark
 from loopshape.data.signal.channel import Channel, sum_terms
-from loopshape.data.signal.excitation_parts import is_sweep, rows_of_a_period
+from loopshape.data.signal.excitation_kind import is_sweep, rows_of_a_period
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.identify.signals import has_instrument, moved_signal

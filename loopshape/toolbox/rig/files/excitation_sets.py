@@ -17,7 +17,8 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
-from loopshape.data.signal.excitation import BandNoise, Excitation, Multisine
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Excitation
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 
 #: most realisations of one experiment
 MOST_REALISATIONS = 1000

@@ -20,17 +20,11 @@ from dataclasses import fields
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import to_stored
-from loopshape.data.signal.excitation import (
-    BandNoise,
-    Excitation,
-    Multisine,
-    Prbs,
-    Profile,
-    Staircase,
-    Sweep,
-)
 from loopshape.io.config_table import ConfigTable, said_in
 from loopshape.io.schema import read
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Excitation, Prbs, Sweep
+from loopshape.toolbox.rig.excitation.multisine import Multisine
+from loopshape.toolbox.rig.excitation.setpoints import Profile, Staircase
 from loopshape.toolbox.rig.files.excitation_sets import LOOP_STEP
 from loopshape.toolbox.rig.study import Setpoint
 

@@ -45,7 +45,6 @@ from typing import Any
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block
 from loopshape.data.control.gain_scheduled import GainScheduled
-from loopshape.data.signal.excitation import Excitation
 from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles, said_in
 from loopshape.io.files import inside, plain_name
@@ -53,6 +52,7 @@ from loopshape.io.provenance import file_sha256
 from loopshape.io.run.run_tables import SCHEDULE_KEYS, Schedule, read_loops
 from loopshape.io.schema import read
 from loopshape.toolbox.learning.files import read_feedforward
+from loopshape.toolbox.rig.excitation.excitation import Excitation
 from loopshape.toolbox.rig.files.excitation_sets import together
 from loopshape.toolbox.rig.files.signals import read_excitation, read_excitations, read_setpoints
 from loopshape.toolbox.rig.files.target import read_escalation, read_limits, read_target

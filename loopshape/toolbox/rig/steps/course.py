@@ -13,12 +13,12 @@ import numpy as np
 from loopshape.core.errors import LoopshapeError, RigError, WrongUseError
 from loopshape.core.units import TWO_PI
 from loopshape.data.signal.channel import sum_terms
-from loopshape.data.signal.excitation import ramp
 from loopshape.data.signal.experiment import Experiment
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.io.run.journal import note
 from loopshape.io.run.run_folder import finished
 from loopshape.toolbox.rig.effects import moves
+from loopshape.toolbox.rig.excitation.excitation import ramp
 from loopshape.toolbox.rig.settings import Limit
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment
 from loopshape.toolbox.rig.steps.enough import Look, Until, look

@@ -58,7 +58,7 @@ FRF = "estimate_and_report(out, Output(False, True), figures=False, resolution_h
 
 SWEEPS = """
 from loopshape.core import stretches
-from loopshape.data.signal import excitation_parts
+from loopshape.data.signal import excitation_kind
 from loopshape.identify.local import long_sweeps, sweeps
 from loopshape.identify.spectra import transforms
 from loopshape.identify.frequency_response import estimate_frf
@@ -68,7 +68,7 @@ import scipy.signal  # loaded when a sweep is thinned: no memory of the recordin
 folder = Path(sys.argv[1])
 stretches.LONG = tables.LONG = 100_000
 tables.KEPT_BYTES, transforms.PART, long_sweeps.PART = 10_000_000, 50_000, 1 << 17
-for module in (stretches, tables, excitation_parts, sweeps, long_sweeps):
+for module in (stretches, tables, excitation_kind, sweeps, long_sweeps):
     module.AT_ONCE = 1 << 16
 def estimated(run):
     run = read_run(run)

@@ -4,8 +4,8 @@ import json
 from dataclasses import replace
 
 import pytest
-from bench_nouns import Multisine, Staircase, Sweep
 from simulated_machines import Arm1, ExperimentTemplate, header, measure
+from study_signals import Multisine, Staircase, Sweep
 
 import loopshape as ls
 from loopshape.cli.output import Output

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import Multisine
 from simulated_machines import FORMS, Arm1, ExperimentTemplate, header, measure
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.cli.main import run as command

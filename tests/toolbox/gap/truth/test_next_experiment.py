@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import LoopSetup, Multisine, RecordingInfo, Staircase
+from bench_nouns import LoopSetup, RecordingInfo
 from simulated_machines import Arm1, ExperimentTemplate, header, measure, plan
 from simulated_machines import experiment as rig_experiment
+from study_signals import Multisine, Staircase
 
 import loopshape as ls
 from loopshape.toolbox.gap.recordings import next_experiment as nxt

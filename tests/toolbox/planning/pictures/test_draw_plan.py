@@ -3,7 +3,7 @@
 import known_loops as known
 import numpy as np
 import pytest
-from bench_nouns import Multisine
+from study_signals import Multisine
 
 from loopshape.toolbox.planning.plan import plan
 from loopshape.toolbox.planning.plan_nouns import Required

@@ -7,19 +7,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from bench_nouns import (
-    BandNoise,
-    Block,
-    Estimate,
-    Free,
-    Multisine,
-    Prbs,
-    Profile,
-    RequirementResult,
-    Staircase,
-    Sweep,
-    TransferFunction,
-)
+from bench_nouns import Block, Estimate, Free, RequirementResult, TransferFunction
 from conversions import rad
 from run_files import (
     read_fits,
@@ -32,6 +20,7 @@ from run_files import (
     write_json,
     write_toml,
 )
+from study_signals import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep
 from verdict_cases import write_junit
 
 import loopshape as ls

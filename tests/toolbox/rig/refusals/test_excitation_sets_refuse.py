@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import BandNoise, Block, Experiment, LoopSetup, Multisine, Prbs, Sweep
+from bench_nouns import Block, Experiment, LoopSetup
+from study_signals import BandNoise, Multisine, Prbs, Sweep
 
 import loopshape as ls
 from loopshape.toolbox.rig.files.excitation_sets import realised, together

@@ -1,8 +1,8 @@
 """A ramp or a tail as long as a period would be counted as one: such a study is refused before anything moves."""
 
 import pytest
-from bench_nouns import Multisine
 from simulated_machines import Arm1
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.toolbox.rig.simulated import plan

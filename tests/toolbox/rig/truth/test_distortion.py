@@ -6,9 +6,10 @@ from pathlib import Path
 import known_loops as known
 import numpy as np
 import pytest
-from bench_nouns import LoopSetup, Multisine, RecordingInfo
+from bench_nouns import LoopSetup, RecordingInfo
 from conversions import db
 from scipy.io import loadmat
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.toolbox.rig.distortion import distortion

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bench_nouns import BandNoise, Multisine
+from study_signals import BandNoise, Multisine
 
 from loopshape.toolbox.rig.files.excitation_sets import orthogonal, realised, together, turns
 from loopshape.toolbox.rig.study import ExperimentTemplate, expanded

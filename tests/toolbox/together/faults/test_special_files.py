@@ -13,7 +13,7 @@ from run_files import write_json
 
 import loopshape as ls
 from loopshape.io.folder_lock import alone
-from loopshape.toolbox.rig.files.measuring import MARK, driver, marked, started_at
+from loopshape.toolbox.rig.verbs.stop import MARK, driver, marked, started_at
 
 #: each file with the commands that read it
 READ = {

@@ -27,7 +27,7 @@ from swept_loop import (
 import loopshape as ls
 from loopshape.core import stretches
 from loopshape.core.stretches import LongColumns
-from loopshape.data.signal.excitation_parts import is_sweep
+from loopshape.data.signal.excitation_kind import is_sweep
 from loopshape.identify.frequency_response import estimate_frf
 from loopshape.identify.local import long_sweeps
 from loopshape.identify.local.sweeps import swept_band

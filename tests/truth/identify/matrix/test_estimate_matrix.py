@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import Multisine
+from excitations import multisine
 from two_loops import PLACES, RATE, equivalent_plant, plant, runs, white
 
 import loopshape as ls
@@ -15,7 +15,7 @@ from loopshape.identify.settings import Settings
 
 @pytest.mark.parametrize("place", PLACES)
 def test_without_noise_the_matrix_is_the_plant(place):
-    n = [Multisine(0.5, 30.0, 4.0, 1.0, periods=4, seed=k).signal(RATE) for k in (1, 2)]
+    n = [multisine(0.5, 30.0, 4.0, RATE, periods=4, seed=k) for k in (1, 2)]
     run = runs(place, n, 0.0, 1, "multisine", period_s=4.0, periodic_from_s=5.0)[0]
     frf = estimate_matrix(run, run.recordings)
     np.testing.assert_allclose(frf.response, plant(frf.frequency_hz), rtol=1e-8, atol=1e-12)
@@ -24,7 +24,7 @@ def test_without_noise_the_matrix_is_the_plant(place):
 
 @pytest.mark.parametrize("place", PLACES)
 def test_one_loop_alone_sees_the_other_closed(place):
-    n = [Multisine(0.5, 30.0, 4.0, 1.0, periods=4, seed=k).signal(RATE) for k in (1, 2)]
+    n = [multisine(0.5, 30.0, 4.0, RATE, periods=4, seed=k) for k in (1, 2)]
     run = runs(place, n, 0.0, 1, "multisine", period_s=4.0, periodic_from_s=5.0)[0]
     for k in (0, 1):
         frf = estimate_frf(run.recordings[k], run.loops[k])
@@ -78,7 +78,7 @@ def test_variance_has_the_place_of_its_element(place):
 
 
 def test_multisines_of_different_periods_are_refused():
-    n = [Multisine(0.5, 30.0, period, 1.0, periods=4, seed=1).signal(RATE) for period in (4.0, 5.0)]
+    n = [multisine(0.5, 30.0, period, RATE, periods=4, seed=1) for period in (4.0, 5.0)]
     size = min(x.size for x in n)
     run = runs("plant_input", [n[0][:size], n[1][:size]], 0.0, 1, "multisine", period_s=4.0, periodic_from_s=1.0)[0]
     second = replace(run.recordings[1], info=replace(run.recordings[1].info, period_s=5.0))

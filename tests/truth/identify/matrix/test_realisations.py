@@ -2,9 +2,10 @@
 
 from dataclasses import replace
 
+import excitations
 import numpy as np
 import pytest
-from bench_nouns import LoopSetup, Multisine, RecordingInfo
+from bench_nouns import LoopSetup, RecordingInfo
 from scipy.signal import lfilter
 from scipy.stats import f as f_distribution
 
@@ -20,8 +21,7 @@ LEVEL, PERIODS = 0.05, 4
 
 
 def multisine(seed, periods=PERIODS + 1):
-    made = Multisine(0.25, 20.0, PERIOD, 1.0, periods=periods, seed=seed, ramp_s=0.0, crest_iterations=0)
-    return made.signal(RATE)
+    return excitations.multisine(0.25, 20.0, PERIOD, RATE, periods=periods, seed=seed, ramp_s=0.0)
 
 
 def info(name="r.parquet", **said):
@@ -136,8 +136,7 @@ def together(number, u):
 
 
 def block(seed, first=0):
-    made = {f"l{k}": Multisine(0.25, 20.0, PERIOD, 1.0, 4, seed + k, ramp_s=0.0, crest_iterations=0) for k in (0, 1)}
-    whole = np.stack([made[f"l{k}"].signal(RATE) for k in (0, 1)], axis=1)
+    whole = np.stack([multisine(seed + k, 4) for k in (0, 1)], axis=1)
     return [together(first + k, whole * signs) for k, signs in enumerate(([1.0, 1.0], [1.0, -1.0]))]
 
 

@@ -10,7 +10,7 @@ degrees of freedom, which count as twenty more averages: a circle holds 0.94 how
 
 import numpy as np
 import pytest
-from bench_nouns import BandNoise, Multisine, Sweep
+from excitations import band_noise, multisine, up_and_down
 from known_loops import CONTROLLER, RATE, common_lines, estimates, plant
 from scipy.signal import freqz, lfilter
 from scipy.stats import f as f_distribution
@@ -57,7 +57,7 @@ def test_noise_by_segments(place, overlap):
 @pytest.mark.parametrize("place", ["controller_input", "plant_input"])
 @pytest.mark.parametrize("periods", [2, 3, 5, 20])
 def test_multisines_by_periods(place, periods):
-    n = Multisine(0.25, 40.0, 4.0, 1.0, periods=periods, seed=1).signal(RATE)
+    n = multisine(0.25, 40.0, 4.0, RATE, periods=periods, seed=1)
     frfs = estimates(place, "multisine", n, 0.05 * noise(3, n.size), period_s=4.0, from_s=1.0)
     ratio, coverage = ratio_and_coverage(frfs)
     assert ratio.mean() == pytest.approx(1.0, abs=0.05)
@@ -73,7 +73,7 @@ def test_multisines_by_periods(place, periods):
 def test_a_pooled_variance_scatters_as_its_degrees_of_freedom_say(periods):
     # chi² of nu degrees of freedom: relative variance 2/nu; 200 records know it to 10 % at each of 61 lines, some
     # of which share their noise. White noise in open loop, so that nothing but chance moves it from line to line
-    n = Multisine(0.25, 40.0, 4.0, 1.0, periods=periods, seed=1).signal(RATE)
+    n = multisine(0.25, 40.0, 4.0, RATE, periods=periods, seed=1)
     frfs = estimates("control", "multisine", n, 0.05 * noise(3, n.size), period_s=4.0, from_s=1.0)
     _, _, variance = common_lines(frfs, 5.0, 20.0)  # clear of the ends of the band, where the mean folds back
     relative = np.var(variance / variance.mean(0), axis=0).mean()
@@ -83,7 +83,7 @@ def test_a_pooled_variance_scatters_as_its_degrees_of_freedom_say(periods):
 @pytest.mark.long
 @pytest.mark.parametrize("place", ["controller_input", "plant_input"])
 def test_sweeps_are_called_neither_better_nor_worse_than_they_are(place):
-    n = Sweep(0.2, 40.0, 160.0, 1.0).signal(RATE)
+    n = up_and_down(0.2, 40.0, 160.0, RATE)
     f, response, variance = common_lines(estimates(place, "sweep", n, 0.05 * noise(4, n.size, SWEEPS)), 2.0, 20.0)
     error = np.abs(response - plant(f)) ** 2
     # windows differ between records: an error counts by its own deviation, which a hundred residuals tell to a tenth
@@ -107,8 +107,7 @@ def test_few_averages_are_counted_as_overlapping_segments_allow():
 def loud():
     """Squared errors and variances (records, nf), 6 to 9 Hz, where ten times the noise came while the sweep passed 4 to
     11 Hz, twice; and the stated degrees of freedom."""
-    sweep = Sweep(0.2, 40.0, 160.0, 1.0)
-    n = sweep.signal(RATE)
+    n = up_and_down(0.2, 40.0, 160.0, RATE)
     t = np.arange(n.size) / RATE
     passing = 0.2 + 39.8 * np.minimum(t, 160.0 - t) / 80.0
     noisy = np.where((passing > 4.0) & (passing < 11.0), 0.2, 0.02)
@@ -147,7 +146,7 @@ def test_colour_of_the_noise_is_followed_line_by_line():
 
 
 def test_trusted_lines_at_the_edge_of_the_excitation_are_as_good_as_they_say():
-    n = np.stack([BandNoise(0.5, 40.0, 160.0, 1.0, seed=k, ramp_s=0.0).signal(RATE) for k in range(60)])
+    n = np.stack([band_noise(0.5, 40.0, 160.0, RATE, seed=k) for k in range(60)])
     frfs = estimates("control", "noise", n, 0.02 * noise(7, SAMPLES)[:60], Settings(method="welch"))
     f, response, variance = common_lines(frfs, 0.3, 1.0)
     valid = np.all([x.select(np.isin(x.frequency_hz, f)).valid for x in frfs], axis=0)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from bench_nouns import BandNoise, LoopSetup, RecordingInfo
+from bench_nouns import LoopSetup, RecordingInfo
+from excitations import band_noise
 from h1_h2 import h1_h2
 
 import loopshape as ls
@@ -16,7 +17,7 @@ SETTINGS = Settings(estimator="direct", method="welch", resolution_hz=0.5)
 
 def record(seed, input_noise=0.0, output_noise=0.0, closed=False, kind="noise", period_s=None):
     """60 s of a spring of 3 N/m under noise of rms 1 up to half the rate."""
-    x = BandNoise(0.01, 99.0, 60.0, 1.0, seed=seed, ramp_s=0.0).signal(RATE)
+    x = band_noise(0.01, 99.0, 60.0, RATE, seed=seed)
     rng = np.random.default_rng(seed + 10_000)
     u = x + input_noise * rng.standard_normal(x.size)
     y = K * x + output_noise * rng.standard_normal(x.size)

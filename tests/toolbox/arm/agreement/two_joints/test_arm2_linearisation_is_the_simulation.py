@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from arm2_cases import ARM, MIDDLE, experiment, numbers, open_loop
-from bench_nouns import Multisine
+from study_signals import Multisine
 
 import loopshape as ls
 from loopshape.identify.matrix.matrix import estimate_matrix

@@ -1,4 +1,4 @@
-"""Excitations and setpoints: the signals that a study asks for, made from numbers and a seed.
+"""Excitations: the signals that a study injects, made from numbers and a seed, and what they share.
 
 Every excitation gives a signal at a rate, in the unit of the place where it is injected; amplitudes are
 peak values there, of noise the standard deviation. Ramps at both ends keep a start or a stop from being a step.
@@ -13,29 +13,73 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import TWO_PI, Array
-from loopshape.data.signal.excitation_parts import (
-    check_band,
-    check_below_half_rate,
-    check_positive,
-    check_samples,
-    ramp,
-    repeated,
-    samples,
-)
-from loopshape.data.signal.multisine import Multisine
 
-__all__ = [
-    "BandNoise",
-    "Excitation",
-    "Multisine",
-    "Prbs",
-    "Profile",
-    "Sampled",
-    "Staircase",
-    "Sweep",
-    "ramp",
-    "samples",
-]
+#: longest signal that is made, in samples
+MOST_SAMPLES = 50_000_000
+
+
+def samples(duration_s: float, rate_hz: float) -> int:
+    """Number of samples of a duration; refuses a duration that is not a whole number of samples."""
+    n = duration_s * rate_hz
+    if not (np.isfinite(n) and n >= 1 and abs(n - round(n)) < 1e-6 * max(n, 1.0)):
+        raise WrongUseError(
+            "a duration must be a whole number of samples",
+            f"{duration_s!r} s at {rate_hz:g} Hz",
+            "change the duration or the rate",
+        )
+    check_samples(n)
+    return round(n)
+
+
+def check_samples(n: float) -> None:
+    """Refuse a signal longer than any that is made."""
+    if n > MOST_SAMPLES:
+        raise WrongUseError("a signal is too long", f"{n:.3g} samples", f"{MOST_SAMPLES:g} at most")
+
+
+def ramp(n: int, ramp_n: int) -> Array:
+    """Window (n,) that rises from 0 to 1 over `ramp_n` samples as a half cosine, and falls the same way."""
+    if not 0 <= 2 * ramp_n <= n:
+        raise WrongUseError(
+            "a signal must outlast both its ramps", f"ramps of {ramp_n} samples, a signal of {n}", "shorten ramp_s"
+        )
+    window = np.ones(n)
+    if ramp_n > 0:
+        edge = 0.5 - 0.5 * np.cos(0.5 * TWO_PI * (np.arange(ramp_n) + 0.5) / ramp_n)
+        window[:ramp_n] *= edge
+        window[n - ramp_n :] *= edge[::-1]
+    return window
+
+
+def check_band(kind: str, f_low_hz: float, f_high_hz: float) -> None:
+    """Refuse a band that does not rise from above zero."""
+    if not 0.0 < f_low_hz < f_high_hz < np.inf:
+        raise WrongUseError(f"a {kind}'s band must be positive and increasing", f"{f_low_hz!r} to {f_high_hz!r} Hz")
+
+
+def check_below_half_rate(kind: str, f_high_hz: float, rate_hz: float) -> None:
+    """Refuse a highest frequency that the rate cannot carry."""
+    if f_high_hz >= 0.5 * rate_hz:
+        raise WrongUseError(
+            f"a {kind} must stay below half the rate ({0.5 * rate_hz:g} Hz)",
+            f"{f_high_hz:g} Hz",
+            "lower its band or raise the rate",
+        )
+
+
+def check_positive(kind: str, **numbers: float) -> None:
+    """Refuse numbers that are not finite and above zero, by name."""
+    for name, value in numbers.items():
+        if not (np.isfinite(value) and value > 0.0):
+            raise WrongUseError(f"{name} of a {kind} must be positive", f"{value!r}")
+
+
+def repeated(one: Array, periods: int, ramp_s: float, rate_hz: float) -> Array:
+    """Whole periods of `one` (n,), with a ramp before the first and after the last."""
+    ramp_n = samples(ramp_s, rate_hz) if ramp_s else 0
+    check_samples(periods * one.size + 2 * ramp_n)
+    index = np.arange(-ramp_n, periods * one.size + ramp_n) % one.size
+    return one[index] * ramp(index.size, ramp_n)
 
 
 class Excitation(Protocol):
@@ -196,101 +240,3 @@ class BandNoise:
         x = np.fft.irfft(spectrum, n)
         x = np.clip(x / x.std(), -3.5, 3.5)
         return self.amplitude * x * ramp(n, round(self.ramp_s * rate_hz))
-
-
-@dataclass(frozen=True)
-class Staircase:
-    """A signal that jumps to `values[i]` at `times_s[i]` and stays there; `before` until the first jump."""
-
-    times_s: tuple[float, ...]
-    values: tuple[float, ...]
-    kind: str = "staircase"
-
-    def __post_init__(self) -> None:
-        if len(self.times_s) != len(self.values) or list(self.times_s) != sorted(self.times_s):
-            raise WrongUseError(
-                "a staircase needs a value for each time, and times that rise",
-                f"{len(self.times_s)} times, {len(self.values)} values",
-            )
-
-    def sampled(self, n: int, rate_hz: float, before: float) -> Array:
-        """The staircase, (n,)."""
-        index = np.searchsorted(np.asarray(self.times_s), np.arange(n) / rate_hz + 1e-9, side="right")
-        return np.concatenate([[before], np.asarray(self.values, dtype=float)])[index]
-
-
-@dataclass(frozen=True, eq=False)
-class Sampled:
-    """A signal (n,) that is given sample by sample at a rate, as a feedforward that was learned; it starts at t = 0."""
-
-    values: Array
-    rate_hz: float
-
-    def sampled(self, n: int, rate_hz: float, before: float) -> Array:
-        """The signal, (n,), with `before` after its end; refuses another rate, and a signal that is longer."""
-        if rate_hz != self.rate_hz or self.values.size > n:
-            raise WrongUseError(
-                "a signal that is given by its samples has the rate of the study and fits in the experiment",
-                f"{self.values.size} samples at {self.rate_hz:g} Hz, for {n} at {rate_hz:g} Hz",
-                "learn it from a recording of this experiment",
-            )
-        return np.concatenate([self.values, np.full(n - self.values.size, before)])
-
-
-@dataclass(frozen=True)
-class Profile:
-    """Third-order setpoint: from point to point with limited velocity, acceleration and jerk.
-
-    Moves to `values[i]`, starting at `times_s[i]`; a move must end before the next begins. Limits are in
-    the signal's unit per s, s², s³. Source: the tracking experiment of figure 5.7.
-    """
-
-    times_s: tuple[float, ...]
-    values: tuple[float, ...]
-    velocity: float
-    acceleration: float
-    jerk: float
-    kind: str = "profile"
-
-    def __post_init__(self) -> None:
-        Staircase(self.times_s, self.values)
-        check_positive(self.kind, velocity=self.velocity, acceleration=self.acceleration, jerk=self.jerk)
-
-    def sampled(self, n: int, rate_hz: float, before: float) -> Array:
-        """The profile, (n,)."""
-        t = np.arange(n) / rate_hz
-        out = np.full(n, float(before))
-        last, free_s = float(before), 0.0
-        for start_s, value in zip(self.times_s, self.values, strict=True):
-            if start_s < free_s - 1e-9:
-                raise WrongUseError(
-                    "a profile's move begins before the last one has ended",
-                    f"{start_s:g} s, the last ends at {free_s:g} s",
-                    "move it later or raise the limits",
-                )
-            distance, sign = abs(value - last), np.sign(value - last)
-            times = _profile_times(distance, self.velocity, self.acceleration, self.jerk)
-            out += sign * _profile_position(t - start_s, times, self.jerk)
-            last, free_s = value, start_s + 4 * times[0] + 2 * times[1] + times[2]
-        return out
-
-
-def _profile_times(distance: float, v: float, a: float, j: float) -> tuple[float, float, float]:
-    """Times of constant jerk, constant acceleration and constant velocity that cover `distance` soonest."""
-    tj = min(a / j, np.sqrt(v / j), np.cbrt(distance / (2.0 * j)))
-    peak_a = j * tj
-    # with constant acceleration for ta: distance = peak_a (tj + ta)(2 tj + ta) without cruise
-    ta_v = v / peak_a - tj if peak_a > 0 else 0.0
-    ta_d = 0.5 * (-3.0 * tj + np.sqrt(tj**2 + 4.0 * distance / peak_a)) if peak_a > 0 else 0.0
-    ta = max(0.0, min(ta_v, ta_d))
-    peak_v = peak_a * (tj + ta)
-    cruise = (distance - peak_v * (2 * tj + ta)) / peak_v if peak_v > 0 else 0.0
-    return float(tj), float(ta), float(max(cruise, 0.0))
-
-
-def _profile_position(t: Array, times: tuple[float, float, float], jerk: float) -> Array:
-    tj, ta, tv = times
-    jumps = np.cumsum([0.0, tj, ta, tj, tv, tj, ta, tj])
-    heights = np.array([1, -1, -1, 1, -1, 1, 1, -1]) * jerk
-    late = np.maximum(np.minimum(t, jumps[-1])[:, None] - jumps, 0.0)  # cubes cancel badly long after the end
-    return np.asarray((late**3 @ heights) / 6.0)

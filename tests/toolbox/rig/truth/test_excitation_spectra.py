@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Sweep, ramp, samples
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Prbs, Sweep, ramp, samples
+from loopshape.toolbox.rig.excitation.multisine import Multisine
 
 RATE_HZ = 1000.0
 #: source, section 4.3: 0.1-20 Hz, rising and falling

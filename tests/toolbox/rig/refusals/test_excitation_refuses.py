@@ -3,7 +3,9 @@
 import pytest
 
 import loopshape as ls
-from loopshape.data.signal.excitation import BandNoise, Multisine, Prbs, Profile, Staircase, Sweep, samples
+from loopshape.toolbox.rig.excitation.excitation import BandNoise, Prbs, Sweep, samples
+from loopshape.toolbox.rig.excitation.multisine import Multisine
+from loopshape.toolbox.rig.excitation.setpoints import Profile, Staircase
 
 NAN, INF = float("nan"), float("inf")
 BANDED = {

@@ -10,7 +10,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import TWO_PI, Array, ComplexArray
-from loopshape.data.signal.excitation_parts import (
+from loopshape.toolbox.rig.excitation.excitation import (
     MOST_SAMPLES,
     check_band,
     check_below_half_rate,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loopshape.data.signal.excitation import Profile, Staircase
+from loopshape.toolbox.rig.excitation.setpoints import Profile, Staircase
 
 RATE_HZ = 1000.0
 
