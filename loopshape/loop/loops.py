@@ -219,15 +219,19 @@ def _open_loop_poles(
 
 
 def unstable_by_fit(fit: Fit) -> int | None:
-    """Unstable poles of a plant by its fit; None where a pair of them may as well be stable, by its 95 % interval.
+    """Unstable poles of a plant by its fit; None where their 95 % intervals leave open whether they are any.
 
-    Those above the fit's lines do not count: there they stand for what bends the phase, a hold, a delay, modes, and no
-    loop whose bandwidth the lines hold would have let such a plant be measured.
+    That is a pair whose damping, or a real pole whose frequency, may as well have the other sign, and a real pole that
+    may as well lie above the fit's lines. Those above them do not count: there they stand for what bends the phase, a
+    hold, a delay, modes, and no loop whose bandwidth the lines hold would have let such a plant be measured.
     """
     unstable_hz, last_hz = fit.model.unstable_hz(), fit.band_hz[1]
     poles = [x for x in modes(fit) if x.name.startswith("pole")] if fit.structure.startswith("rational") else []
     for size, damping in zip(poles[::2], poles[1::2], strict=True):
-        if size.value <= last_hz and -1.0 < damping.value < 0.0 and not damping.interval[1] < 0.0:
+        if size.value > last_hz or damping.value >= 0.0:
+            continue
+        low_hz, high_hz = size.interval
+        if not (damping.interval[1] < 0.0 if damping.value > -1.0 else 0.0 < low_hz and high_hz <= last_hz):
             return None
     return int(np.sum(unstable_hz <= last_hz))
 
