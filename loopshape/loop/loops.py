@@ -23,7 +23,7 @@ from loopshape.identify.smooth.smoothing import merged, smoothed
 from loopshape.loop.loop import Loop
 from loopshape.loop.matrix import determinant
 from loopshape.loop.predict.step_response import models_within
-from loopshape.loop.stability.low_end import low_order
+from loopshape.loop.stability.low_end import low_frequency_models, low_order
 from loopshape.loop.stability.obstacles import Undecided
 from loopshape.loop.stability.stability import unstable_count
 from loopshape.loop.tolerances import TOL
@@ -190,7 +190,7 @@ def _open_loop_poles(
     frf: FRF, requirements: Requirements, fit: Fit | None, beyond: FRF | None, raw: FRF, scatter: Scatter
 ) -> tuple[int | None, int | None, str]:
     """Integrators and unstable poles of the plant (None: not known), and a note where they were assumed."""
-    integrators, note = _integrators(frf, requirements, fit)
+    integrators, note = _integrators(frf, requirements, fit, raw)
     if requirements.unstable_poles is not None:
         return integrators, requirements.unstable_poles, note
     held = _held_poles(frf, integrators, fit, beyond, raw, scatter)
@@ -236,8 +236,12 @@ def unstable_by_fit(fit: Fit) -> int | None:
     return int(np.sum(unstable_hz <= last_hz))
 
 
-def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple[int | None, str]:
-    """Declared, or the fit's, or what phase and slope of the lowest lines agree on, None where they do not."""
+def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None, raw: FRF) -> tuple[int | None, str]:
+    """Declared, or the fit's, or what phase and slope of the lowest lines agree on.
+
+    None where they do not, or where a model with so many that follows the raw lines has another sign at 0 Hz: then the
+    plant turns below them, as lags do.
+    """
     declared = requirements.integrators
     if fit is not None:
         return fit.model.integrators() if declared is None else declared, ""
@@ -251,9 +255,11 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None) -> tuple
             f"the plant's lowest frequencies look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
         )
     word = "integrator" if integrators == 1 else "integrators"
-    if integrators and requirements.unstable_poles:
+    turns = any(model.num[0] < 0.0 for model in low_frequency_models(raw, integrators))
+    if integrators and (requirements.unstable_poles or turns):
+        poles = "unstable poles" if requirements.unstable_poles else "lags"
         return None, (
-            f"the plant's lowest frequencies look like {integrators} {word}, or like unstable poles that lie below"
+            f"the plant's lowest frequencies look like {integrators} {word}, or like {poles} that lie below"
             " them: declare integrators"
         )
     return integrators, (

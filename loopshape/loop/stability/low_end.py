@@ -62,7 +62,7 @@ def low_models(loop: Loop) -> tuple[LowModel, ...]:
     """Small models of the lowest lines, which say how the plant goes on below them."""
     if loop.integrators is None:
         return ()
-    return _low_frequency_models(loop.measured, loop.integrators)
+    return low_frequency_models(loop.measured, loop.integrators)
 
 
 def low_hz(loop: Loop) -> Array:
@@ -198,7 +198,7 @@ class LowModel:
 
 
 @remembered
-def _low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
+def low_frequency_models(frf: FRF, integrators: int) -> tuple[LowModel, ...]:
     """Models that follow the lowest lines of a 1 x 1 FRF, the likeliest first; none where none tells P at s = 0.
 
     `integrators` is the declared number of poles at s = 0, negative for zeros there. Give frequencies as measured. A

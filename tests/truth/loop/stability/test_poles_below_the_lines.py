@@ -1,4 +1,4 @@
-"""A count on a large L decides although poles may lie below its lines, where they cannot change the outcome."""
+"""Poles below the lines: what they cannot change is decided, and what they may be taken for is not."""
 
 import numpy as np
 import pytest
@@ -65,3 +65,17 @@ def test_unstable_poles_below_the_lines_are_never_taken_for_some_within_them():
         found = closed_loop_stability(loop)
         assert found.outcome in ("undecided", "unstable" if growing(plant, gain) else "stable"), (plant, gain, found)
     assert asked >= 20
+
+
+@pytest.mark.parametrize("share", [0.1, 0.2])
+def test_two_lags_below_the_lines_are_not_taken_for_two_integrators(share):
+    """They look like two by slope and phase, and a model with two turns its sign; stable by the roots."""
+    f, a, tf = np.geomspace(1.0, 450.0, 200), TWO_PI * share, 1.0 / (TWO_PI * 60.0)
+    den = product([1.0 / a, 1.0], [0.5 / a, 1.0], [tf, 1.0])
+    C = ls.controller(ls.gain(2.0 / share**2), ls.lead_lag(0.8, 8.0), rate_hz=1e4)
+    gained = 2.0 / share**2 * np.array([1.0 / (TWO_PI * 0.8), 1.0])
+    assert np.all(np.roots(np.polyadd(gained, product(den, [1.0 / (TWO_PI * 8.0), 1.0]))).real < 0.0)
+    P = ls.FRF.from_arrays(f, 1.0 / np.polyval(den, 1j * TWO_PI * f), relative_std=1e-3, rate_hz=1e4)
+    for declared in (None, 0):
+        margins = ls.check(P, C, ls.Requirements(unstable_poles=0, integrators=declared)).margins["frf 1"]
+        assert margins.stable == ("undecided" if declared is None else "stable"), margins.stability_reason
