@@ -61,7 +61,7 @@ def predict(
         texts = ("stability: " + "; ".join((*more, *notes)),) if more or notes else ()
         stable = counts if len(parts) > 1 else [closed_loop_stability(loop) for loop in loops]
         for loop, stability, frf in zip(loops, stable, plants, strict=True):
-            made.append(_one(loop, stability, fit_of(frf, fits), texts, draws, seed))
+            made.append(_one(loop, stability, fit_of(frf, fits), texts, draws, seed, integrators is None))
     return made
 
 
@@ -71,15 +71,16 @@ def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
 
 
 def _one(
-    loop: Loop, stability: Stability, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int
+    loop: Loop, stability: Stability, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int, guessed: bool
 ) -> Prediction:
     plant = loop.measured  # smoothed lines share errors, which a comparison cannot know
     S = replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
     if stability.outcome is not ClosedLoop.STABLE:
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
     if fit is None:
-        integrates = (loop.integrators or 0) + loop.controller_integrators() > 0
-        step, why = _without_fit(S, stability.outcome, 1.0 if integrates else None, seed)
+        own = loop.controller_integrators() > 0
+        final = 1.0 if own or (loop.integrators or 0) > 0 else None
+        step, why = _without_fit(S, stability.outcome, final, seed, guessed and not own)
         return Prediction(S, stability.outcome, step, notes + why)
     step = predict_step(fit, loop.controller, draws=draws, seed=seed)
     if step is None:
@@ -87,12 +88,14 @@ def _one(
     return Prediction(S, stability.outcome, _with_doubt(step, S, fit), notes)
 
 
-def _without_fit(S: FRF, stability: str, final: float | None, seed: int) -> tuple[Step | None, tuple[str, ...]]:
+def _without_fit(
+    S: FRF, stability: str, final: float | None, seed: int, guessed: bool
+) -> tuple[Step | None, tuple[str, ...]]:
     """The step that the lines carry, or why they carry none."""
     if stability is not ClosedLoop.STABLE:  # lines show no end of it: an unstable loop has no step
         return None, ("no fit of this FRF, and a loop that is not known to be stable: no step",)
     try:
-        return step_from_lines(S, final=final, seed=seed), ()
+        return step_from_lines(S, final=final, guessed=guessed, seed=seed), ()
     except WrongUseError as refused:
         return None, (f"no fit of this FRF, and {refused}",)
 

@@ -194,13 +194,16 @@ def _settling_grid(T: Callable[[Array], ComplexArray], rate_hz: float) -> _Grid 
     return None
 
 
-def step_from_lines(sensitivity: FRF, *, final: float | None = None, draws: int = 200, seed: int = 0) -> Step:
+def step_from_lines(
+    sensitivity: FRF, *, final: float | None = None, guessed: bool = False, draws: int = 200, seed: int = 0
+) -> Step:
     """Step of a measured loop straight from its lines, S (1 x 1), without a model; the lines are all that is used.
 
     The square wave's fundamental is the first line, f1: nothing is assumed below it, and the step is seen for 1/(2 f1)
     s. What happens slower is missing: refused where the answer has not come to rest by then, or where lines lie too far
     apart to carry a period. `final` is where the step ends, if known (1 with an integrator in the loop): what is
-    missing of it by then is what something slower still does, within which the band lies, and refused above `REST`.
+    missing of it by then is what something slower still does, within which the band lies, and refused above `REST`; one
+    that is `guessed` leaves open in the intervals whether it ends there or where the lines do.
     Nothing above the last line, fn: what is faster than about 1/(2 fn) s is missing, refused
     where |T| is still above -20 dB there. Between lines T is taken as linear. The band is of the lines' covariance,
     errors of neighbours as correlated as `line_overlap` says.
@@ -241,8 +244,9 @@ def step_from_lines(sensitivity: FRF, *, final: float | None = None, draws: int 
         f"nothing slower than {0.5 / f[0]:.3g} s is seen (lowest frequency {f[0]:.3g} Hz), nothing above"
         f" {f[-1]:.3g} Hz, where |T| = {abs(T[-1]):.2g}"
     )
-    read, *drawn = (indicators(grid.time_s, y, final=final) for y in (nominal, *every))
-    read = with_intervals(read, drawn)
+    read = indicators(grid.time_s, nominal, final=final)
+    ends = (final, None) if guessed else (final,)
+    read = with_intervals(read, [indicators(grid.time_s, y, final=end) for y in every for end in ends])
     return Step(grid.time_s, nominal, low - slower, high + slower, read, "FRF", 0.0, (seen,))
 
 

@@ -118,3 +118,16 @@ def test_a_slow_tail_widens_the_step_or_is_no_step():
             assert step.indicators.steady_state_error == 0.0
             steps += 1
     assert steps >= 4
+
+
+def test_an_integrator_guessed_from_the_lowest_lines_leaves_open_where_the_step_ends():
+    """A lag at 0.05 Hz looks like an integrator from 0.5 Hz on: 1.6 % of the step stays, and 0 was named for sure."""
+    b, a = sampled(([1.0], [1.0 / (2.0 * np.pi * 0.05), 1.0]))
+    P, C = measured(b, a, np.random.default_rng(1), lines=300, std=0.003), ls.controller(ls.gain(60.0), rate_hz=RATE)
+    numerator, denominator = closed(b, a, C)
+    error = 1.0 - numerator.sum() / denominator.sum()
+    low, high = ls.predict(P, C, ls.Requirements(unstable_poles=0))[0].step.indicators.intervals["steady_state_error"]
+    assert low <= 0.0 and error == pytest.approx(0.0164, abs=1e-4)
+    assert error < high < 1.2 * error
+    declared = ls.Requirements(integrators=1, unstable_poles=0)
+    assert ls.predict(P, C, declared)[0].step.indicators.intervals["steady_state_error"] == (0.0, 0.0)
