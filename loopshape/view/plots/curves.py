@@ -128,6 +128,7 @@ def hide_inner(*axes: Axes) -> None:
     for ax in axes:
         ax.set_xlabel("")
         ax.tick_params(labelbottom=False)
+        ax.xaxis.set_in_layout(False)  # nothing of it stands outside the axes
 
 
 def shown_band_hz(*frfs: FRF) -> tuple[float, float]:
