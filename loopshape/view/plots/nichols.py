@@ -180,8 +180,8 @@ def _regions_of(ax: Axes, one: _Curve, count: int) -> list[float]:
         edge = np.column_stack(error_region(complex(one.loop.L[k]), float(error[k]), float(one.phase_deg[k])))
         if np.isfinite(edge).all():
             face: dict[str, Any] = {"facecolor": COLOURS[5], "alpha": 0.6, "linewidth": 0.0, "zorder": 2.75}
-            ax.add_patch(Polygon(edge, gid="region", **face))
-            ax.add_patch(Polygon(edge, fill=False, linewidth=0.5, edgecolor="0.15", zorder=3.0, gid="region edge"))
+            ax.add_artist(Polygon(edge, gid="region", **face))  # the limits stand
+            ax.add_artist(Polygon(edge, fill=False, linewidth=0.5, edgecolor="0.15", zorder=3.0, gid="region edge"))
             heights.append(float(np.ptp(edge[:, 1])))
     return heights
 

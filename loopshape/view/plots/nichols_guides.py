@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Polygon
 
 from loopshape.core.units import TWO_PI, Array, ComplexArray, db, deg, from_db
 from loopshape.data.requirement.requirements import Requirements
@@ -67,7 +68,8 @@ def forbidden(ax: Axes, room: LabelRoom, required: Requirements, closest: float 
     for shift in turns(*ax.get_xlim()):
         if closest is not None:
             x, y = _shifted(constant_s(closest), shift)
-            ax.fill(x, y, facecolor=LIMIT, alpha=0.14, linewidth=0.0, zorder=1.7)
+            region = Polygon(np.column_stack([x, y]), facecolor=LIMIT, alpha=0.14, linewidth=0.0, zorder=1.7)
+            ax.add_artist(region)  # `fill` would take its thousand edges one by one for limits that stand
             for share in (0.3, 0.6, 0.8, 1.0):
                 room.add(shift - 180.0 + share * (x - shift + 180.0), share * y)
             ax.plot(x, y, color=LIMIT, linewidth=1.1, scalex=False, scaley=False, zorder=2.5, gid="limit |S|")
