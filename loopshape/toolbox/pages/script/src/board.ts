@@ -90,7 +90,7 @@ export class Board {
   private drawPanel(panel: Panel): void {
     const { plot, kind, name, views } = panel;
     const { required } = this.loop;
-    plot.colours = coloursOf(plot.canvas);
+    plot.measure(coloursOf(plot.canvas));
     plot.start();
     if (kind === "nichols") nicholsChart(plot, required);
     else if (kind === "db") sizeGuides(plot, name, required);

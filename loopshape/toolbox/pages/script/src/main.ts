@@ -49,7 +49,7 @@ class Page implements Guest {
   private readonly unjudged = el("p", { class: "line undecided", id: "unjudged" });
   private readonly certificate = el("p", { class: "quiet", id: "certificate" });
   private readonly closed = el("p", { id: "closed", "aria-live": "polite" });
-  private readonly redraw = (): void => this.draw();
+  private readonly redraw = (): void => this.screen.resized();
   private readonly sizes = new ResizeObserver(this.redraw);
   private readonly dark = matchMedia("(prefers-color-scheme: dark)");
   /** Milliseconds from a change to its picture, its intervals, its detuning margins: read by tests and by who measures. */
@@ -567,7 +567,7 @@ class Page implements Guest {
     const engine = this.engines[this.current];
     const { requirements } = this.design;
     const margins = Array.from({ length: engine.size }, (_, k) =>
-      DETUNED.reduce((m, stage) => engine[stage](k, controller, requirements, m), engine.settled(k, controller, requirements)),
+      DETUNED.reduce((m, stage) => engine[stage](k, controller, requirements, m), engine.settled(k, controller, requirements, true)),
     );
     return engine.verdict(requirements, margins);
   }

@@ -78,6 +78,7 @@ export class Screen {
   private others: Trace[] | null = null;
   private worst = 0;
   private readonly plots: Plot[];
+  private measured = false;
   private readonly zoom = new Zoom((plot) => this.followers(plot), () => this.redraw());
   /** Where the cursor stands on each plot, in pixels. */
   private readonly marked = new Map<Plot, [number, number]>();
@@ -121,7 +122,7 @@ export class Screen {
     this.stepping = on;
     this.phase.canvas.hidden = on;
     this.step.canvas.hidden = this.stepWords.hidden = !on;
-    this.redraw();
+    this.resized();
   }
 
   private pick(name: Response): void {
@@ -164,10 +165,19 @@ export class Screen {
     return this.chosen ?? this.worst;
   }
 
+  /** Draws with sizes and colours as they are now. */
+  resized(): void {
+    this.measured = false;
+    this.redraw();
+  }
+
   private redraw(): void {
     if (!this.traces.length) return;
-    const colours = coloursOf(this.element); // asking for a style lays the page out anew: once for all plots
-    for (const plot of this.plots) plot.colours = colours;
+    if (!this.measured) {
+      const colours = coloursOf(this.element);
+      for (const plot of this.plots) plot.measure(colours);
+      this.measured = true;
+    }
     this.drawBode();
     if (this.stepping) this.drawStep();
     this.drawMap(this.nichols);
@@ -305,7 +315,7 @@ export class Screen {
     if (isNichols) {
       if (!this.carry) plot.show(LINEAR(-360, 0, "phase of L [deg]", 45), nicholsAxis(this.traces));
     } else {
-      const tall = plot.canvas.clientHeight / Math.max(plot.canvas.clientWidth, 1);
+      const tall = plot.height / Math.max(plot.width, 1);
       plot.show(LINEAR(-3, 1.5, "Re L", 0.5), LINEAR(-2.25 * tall, 2.25 * tall, "Im L", 0.5));
     }
     plot.start();

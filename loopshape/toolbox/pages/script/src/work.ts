@@ -58,7 +58,7 @@ export interface Worked extends Asked {
 }
 
 /** Detuning that takes no longer, in ms, is finished while something is dragged; what takes longer waits for a pause. */
-const QUICK = 30;
+const [QUICK, PAUSE] = [30, 60];
 
 /** What runs in a worker: the newest task is done, those that it overtook are not; a margin at a time between messages. */
 export function workHere(scope: DedicatedWorkerGlobalScope): void {
@@ -83,7 +83,7 @@ export function workHere(scope: DedicatedWorkerGlobalScope): void {
     tell(task, "intervals", points);
     const steps = stepsOf(engine, task, points);
     if (took < QUICK) atOnce(steps);
-    else setTimeout(() => inPieces(task, steps), 0);
+    else setTimeout(() => inPieces(task, steps), PAUSE);
   };
   /** Milliseconds that the last detuning took. */
   let took = Infinity;

@@ -196,7 +196,7 @@ export function tuned(engine: Engine, design: Design, from_hz: number, wanted_hz
   const missedAt = (one: Design, points: number[], off: number[][]): number[][] | null => {
     const controller = controllerOf(one);
     if (refusal(controller) || points.some((k) => polesOf(engine.quickLoop(k, controller)) !== 0)) return null;
-    return points.map((k) => missed(limits, required[k], engine.estimate(k, controller, one.requirements), off[k]));
+    return points.map((k) => missed(limits, required[k], engine.estimate(k, controller, required[k]), off[k]));
   };
   const none = every.map(() => limits.map(() => 0));
   const cost = (one: Design, off: number[][]): number => sum(missedAt(one, every, off)?.flat() ?? [Infinity]);
@@ -216,7 +216,7 @@ export function tuned(engine: Engine, design: Design, from_hz: number, wanted_hz
       const space = new Free(one);
       one = space.at(searched((x) => missedAt(space.at(x), points, off)?.flat() ?? null, space.start, end));
       const controller = controllerOf(one);
-      off = every.map((k) => offsets(limits, engine.estimate(k, controller, one.requirements), engine.settled(k, controller, one.requirements)));
+      off = every.map((k) => offsets(limits, engine.estimate(k, controller, required[k]), engine.settled(k, controller, required[k])));
       const now = cost(one, off);
       if (now < best.cost) best = { one, cost: now };
       if (now === 0) break;
@@ -241,5 +241,5 @@ function spreadOut(design: Design, hz: number, spread: number): Design {
 function holds(engine: Engine, design: Design, required: Requirements[]): boolean {
   const without = required.map(({ detuning_percent: _, ...own }) => own as Requirements);
   const controller = controllerOf(design);
-  return engine.verdictOf(without, required.map((_, k) => engine.settled(k, controller, design.requirements))).outcome === "passed";
+  return engine.verdictOf(without, required.map((own, k) => engine.settled(k, controller, own))).outcome === "passed";
 }

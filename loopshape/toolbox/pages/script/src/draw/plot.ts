@@ -67,7 +67,7 @@ export function words(value: number): string {
 
 export class Plot {
   readonly ctx: CanvasRenderingContext2D;
-  colours: Colours;
+  colours = {} as Colours;
   private home: { x: Axis; y: Axis };
   private zoomed = false;
   private above: (() => void)[] = [];
@@ -80,7 +80,6 @@ export class Plot {
     public y: Axis,
   ) {
     this.ctx = canvas.getContext("2d") as CanvasRenderingContext2D;
-    this.colours = coloursOf(canvas);
     this.home = { x: { ...x }, y: { ...y } };
   }
 
@@ -126,10 +125,13 @@ export class Plot {
     if (this.zoomed && !inside) this.pan(this.width / 2 - px, this.height / 2 - py);
   }
 
+  /** Takes colours, and the size as laid out: asking for either lays the page out anew. */
+  measure(colours: Colours): void {
+    [this.colours, this.width, this.height] = [colours, this.canvas.clientWidth, this.canvas.clientHeight];
+  }
+
   start(): void {
     const ratio = Math.max(window.devicePixelRatio || 1, this.canvas.closest(".printing") ? 3 : 1);
-    this.width = this.canvas.clientWidth;
-    this.height = this.canvas.clientHeight;
     const [w, h] = [Math.round(this.width * ratio), Math.round(this.height * ratio)];
     if (this.canvas.width !== w || this.canvas.height !== h) [this.canvas.width, this.canvas.height] = [w, h];
     this.ctx.setTransform(ratio, 0, 0, ratio, 0, 0);

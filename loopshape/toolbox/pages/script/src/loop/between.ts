@@ -3,9 +3,8 @@
 
 import { clip, magnitudes, placeIn, type Real } from "../numbers/arrays";
 import { turnsPastCluster } from "./cluster";
-import type { Loop } from "./loop";
+import { chordsOf, type Loop } from "./loop";
 import type { ModeCluster } from "../payload";
-import { chords } from "./turns";
 
 export interface Undecided {
   reason: string;
@@ -43,8 +42,9 @@ export function pastResonances(loop: Loop): Past {
 }
 
 /** How near the path comes to -1 in each gap between lines. */
-function nearest({ f, dense, denseL }: Loop): Real {
-  const near = chords(denseL);
+function nearest(loop: Loop): Real {
+  const { f, dense } = loop;
+  const near = chordsOf(loop);
   const at = Array.from(f, (x) => placeIn(dense.f, x));
   return Float64Array.from({ length: f.length - 1 }, (_, k) => near.subarray(at[k], at[k + 1]).reduce((a, b) => Math.min(a, b), Infinity));
 }

@@ -28,10 +28,14 @@ export interface Reader {
   limits: ReadLimit[];
 }
 
-/** A reader for the requirements at one operating point. */
+/** A reader for the requirements at one operating point: of all limits. */
 export function readerOf({ control_high_frequency_from_hz: from, masks = [] }: Requirements, limits: ReadLimit[]): Reader {
   return { fromHz: typeof from === "number" ? from : Infinity, masks, limits };
 }
+
+/** What is required, and what the page shows of any design. */
+export const askedOf = (required: Requirements, limits: ReadLimit[]): ReadLimit[] => limits.filter(({ name }) => typeof required[name] === "number" || SHOWN.includes(name));
+const SHOWN = ["modulus_margin", "bandwidth_hz"];
 
 /** Name of the limit that a mask belongs to. */
 export const quantityOf = ({ response, sense }: Mask): string =>

@@ -6,6 +6,7 @@ import * as control from "../numbers/controller";
 import type { Controller } from "../numbers/controller";
 import { densified, Drawn, knownPlant, withBetween, type Dense, type Draws, type Source } from "../numbers/dense";
 import type { ExtrapolatedModel, Point } from "../payload";
+import { chords } from "./turns";
 
 /** A measured plant with what is known between its lines, with draws or without. */
 export class Plant {
@@ -160,6 +161,9 @@ export const largestAbove = once(({ point, controller }: Loop): number => {
   }
   return most;
 });
+
+/** Distance of each chord of L from -1, between its lines and places. */
+export const chordsOf = once(({ denseL }: Loop): Real => chords(denseL));
 
 /** L below the first line, by each small model of the lowest lines. */
 export const belowLines = once(({ point, controller }: Loop): Complex[] => {

@@ -36,8 +36,6 @@ export interface Margins {
   at_hz: Record<string, number>;
   /** Holes between the frequencies, in which a reading is a guess. */
   missing_hz: Interval[];
-  crossings_hz: number[];
-  phase_crossings_hz: number[];
   stability: Stability | null;
   /** What is known of the detuning margin, nothing while it is not. */
   detuning: Detuning | null;
@@ -52,14 +50,16 @@ export function margins(loop: Loop, reader: Reader): Margins {
   const [first] = ways;
   const grid = gridOf(loop, first, reader);
   const scans = scansOf(loop, ways, grid);
-  const reads = scans.map((one) => readOf(grid, one, true));
-  const { at } = reads[0].rows;
-  const found = Float64Array.from(reads[0].rows.found, ([value], c) => kernel.inUnits(c, value));
-  const own = withIntervals(loop, first, reads[0], reader);
+  const read = readOf(grid, scans[0], true);
+  const { at } = read.rows;
+  const found = Float64Array.from(read.rows.found, (own, c) => kernel.inUnits(c, own[0]));
+  const own = withIntervals(loop, first, read, reader);
   const ends = { value: own.value, low: own.low.slice(), high: own.high.slice() };
-  const like = { ...reads[0], ...own };
+  const like = { ...read, ...own };
   for (let m = 1; m < ways.length; m++) {
-    const its = withIntervals(loop, ways[m], reads[m], reader, like);
+    const { draws } = ways[m];
+    if (sameScans(scans[m], scans[0], grid) && !(draws && drowned(ways[m], draws))) continue;
+    const its = withIntervals(loop, ways[m], readOf(grid, scans[m], true), reader, like);
     its.low.forEach((value, c) => (ends.low[c] = Math.min(ends.low[c], value)));
     its.high.forEach((value, c) => (ends.high[c] = Math.max(ends.high[c], value)));
   }
@@ -80,8 +80,6 @@ export function margins(loop: Loop, reader: Reader): Margins {
   return {
     ...made,
     missing_hz: loop.point.gaps.filter((gap) => gap.missing).map((gap) => gap.hz),
-    crossings_hz: unitCrossings(first.f, first.L),
-    phase_crossings_hz: axisCrossings(first.f, first.L),
     stability: null,
     detuning: null,
     disturbed: loop.point.disturbed && rmsUnder(loop.point.disturbed, loop.controller),
@@ -164,6 +162,9 @@ function scansOf(loop: Loop, ways: Judged[], grid: kernel.Grid): Scans[] {
   return own.map((one, m) => ({ own: one, halves: coarse.map((half) => half[m]) }));
 }
 
+const sameScans = (one: Scans, other: Scans, grid: kernel.Grid): boolean =>
+  kernel.endsAlike(one.own, other.own, grid) && one.halves.every((half, k) => kernel.endsAlike(half, other.halves[k], grid));
+
 /** Columns of L, its reference and its draws, and of the reference on every other line. */
 interface Read {
   rows: kernel.Readings;
@@ -192,14 +193,13 @@ interface Ends {
 
 /** Each column freed of its bias, with the ends of its interval; one that was read so before has its ends of then. */
 function withIntervals(loop: Loop, j: Judged, read: Read, reader: Reader, like?: Read & Ends): Ends {
-  const value = Float64Array.from(read.rows.found, ([own], c) => kernel.inUnits(c, own));
+  const value = Float64Array.from(read.rows.found, (own, c) => kernel.inUnits(c, own[0]));
   if (!j.draws) return { value, low: value, high: value };
   if (drowned(j, j.draws)) return { value, low: value.map(() => -Infinity), high: value.map(() => Infinity) };
   const out = { value: value.slice(), low: value.slice(), high: value.slice() };
-  const scatters = scattersOf(reader);
-  for (let c = 0; c < (reader.masks.length ? kernel.COLUMNS : kernel.MASK_S); c++) {
+  for (const [{ distance }, c] of columnsOf(reader.limits)) {
     const same = like && sameIn(like.rows, read.rows, c) && like.halves.every((half, k) => sameIn(half, read.halves[k], c));
-    const ends = same ? [like.value[c], like.low[c], like.high[c]] : endsOf(c, read, loop.plant.source.constants.half_width, scatters.get(c) ?? Infinity);
+    const ends = same ? [like.value[c], like.low[c], like.high[c]] : endsOf(c, read, loop.plant.source.constants.half_width, distance);
     [out.value[c], out.low[c], out.high[c]] = ends;
   }
   return out;
@@ -231,9 +231,6 @@ function betweenLines(c: number, halves: kernel.Readings[], value: number): numb
   const changes = halves.map(({ found }) => Math.abs(kernel.inUnits(c, found[c][0]) - value)).filter(Number.isFinite);
   return (0.5 * changes.reduce((a, b) => a + b, 0)) / halves.length;
 }
-
-/** Up to which deviation a column scatters as a logarithm, of distances to -1 and of peaks over them. */
-const scattersOf = ({ limits }: Reader): Map<number, number> => new Map(columnsOf(limits).map(([{ distance }, k]) => [k, distance]));
 
 function mean(values: Float64Array): number {
   let total = 0;
@@ -285,7 +282,7 @@ function lostLines({ L, factor }: Judged, draws: Draws, count: number): [number,
 
 /** How good the quantities may be that what lies above the last line bounds (`_bounds`). */
 function bounds(loop: Loop, j: Judged, found: Float64Array, open: Read, reader: Reader, like: Read & Ends): Record<string, number> {
-  const best = open.rows.found.map(([value], c) => kernel.inUnits(c, value));
+  const best = open.rows.found.map((own, c) => kernel.inUnits(c, own[0]));
   const out: Record<string, number> = {};
   for (const [{ name }, k] of columnsOf(reader.limits).filter(([{ open }]) => open)) {
     if (found[k] === Math.log(j.f[j.f.length - 1])) out[name] = Infinity;

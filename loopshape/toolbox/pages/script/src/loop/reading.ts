@@ -2,6 +2,7 @@
 
 import type { Complex, Real } from "../numbers/arrays";
 import type { Draws } from "../numbers/dense";
+import type { ReadLimit } from "../payload";
 import { weights, type Reader } from "./limits";
 import { chord } from "./turns";
 
@@ -49,6 +50,9 @@ export interface Grid {
   masks: Real[] | null;
   over: Peak[];
   least: number;
+  /** Bits of the quantities that are asked about (`READ`), |S| among them. */
+  asked: number;
+  asksReduction: boolean;
 }
 
 interface Peak {
@@ -57,7 +61,7 @@ interface Peak {
 }
 
 /** A grid; `aboveF` and `aboveC2` go on above the last line. */
-export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz, masks }: Reader, least: number): Grid {
+export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz, masks, limits }: Reader, least: number): Grid {
   const most = { size: -1, hz: NaN };
   const mostHigh = { size: -1, hz: NaN };
   for (let i = 0; i < aboveF.length; i++) {
@@ -65,7 +69,7 @@ export function gridOf(f: Real, c2: Real, aboveF: Real, aboveC2: Real, { fromHz,
       if (aboveC2[i] > peak.size) Object.assign(peak, { size: aboveC2[i], hz: aboveF[i] });
     }
   }
-  return { f, c2, fromHz, most, mostHigh, masks: weights(masks, f), over: largestOver(weights(masks, aboveF), aboveF, aboveC2), least };
+  return { f, c2, fromHz, most, mostHigh, masks: weights(masks, f), over: largestOver(weights(masks, aboveF), aboveF, aboveC2), least, asked: askedOf(limits), asksReduction: limits.some(({ column }) => column === REDUCTION_DB) };
 }
 
 /** Above the last line, the largest weight of each quantity, with what |C|² adds to it. */
@@ -121,166 +125,212 @@ const pieces = (whole: Float64Array, count: number): Float64Array[] =>
 
 const copied = (columns: Float64Array[]): Float64Array[] => pieces(new Float64Array(columns[0].buffer.slice(0)), COLUMNS);
 
+/** Open loops on one line: L, and the squares of |L|, |1 + L| and |1 - L|. */
+class Place {
+  readonly x: Float64Array;
+  readonly y: Float64Array;
+  readonly size: Float64Array;
+  readonly away: Float64Array;
+  readonly mirrored: Float64Array;
+
+  constructor(count: number) {
+    [this.x, this.y, this.size, this.away, this.mirrored] = pieces(new Float64Array(5 * count), 5);
+  }
+
+  fill({ L, reference, factor, draws }: Rows, k: number): void {
+    const { x, y, size, away, mirrored } = this;
+    [x[0], y[0]] = [L.re[k], L.im[k]];
+    if (reference && factor && draws) {
+      const { re, im } = draws[k];
+      const [cr, ci, rr, ri] = [factor.re[k], factor.im[k], reference.re[k], reference.im[k]];
+      [x[1], y[1]] = [rr, ri];
+      for (let d = 0; d < re.length; d++) {
+        x[d + 2] = rr + (re[d] * cr - im[d] * ci);
+        y[d + 2] = ri + (re[d] * ci + im[d] * cr);
+      }
+    }
+    for (let r = 0; r < x.length; r++) {
+      const y2 = y[r] * y[r];
+      size[r] = x[r] * x[r] + y2;
+      away[r] = (1 + x[r]) * (1 + x[r]) + y2;
+      mirrored[r] = (1 - x[r]) * (1 - x[r]) + y2;
+    }
+  }
+}
+
+const places = new Map<number, [Place, Place]>();
+
+/** Two places to scan with, which the next scan overwrites. */
+function placesOf(count: number): [Place, Place] {
+  const made = places.get(count) ?? [new Place(count), new Place(count)];
+  places.set(count, made);
+  return made;
+}
+
 /** What some of the grid's lines tell, in their order; `begins` where none lies below them. Nothing is found of lines that
  * can tell no more than others of which `floors` are known. */
 export function scan(grid: Grid, rows: Rows, lines: ArrayLike<number>, begins = true, floors: Float64Array = new Float64Array(QUANTITIES)): Scan {
   const count = rows.draws ? rows.draws[0].count + 2 : 1;
-  let [x, y, size, away, lastX, lastY, first, last, lastAway] = pieces(new Float64Array(9 * count), 9);
+  const ones = new Float64Array(count).fill(1);
+  let [before, now] = placesOf(count);
   const hz = (i: number): number => grid.f[lines[i]];
   const out: Scan = {
-    found: [], at: new Float64Array(COLUMNS).fill(NaN), sensed: new Uint8Array(count), first, last, lastAway,
+    found: [], at: new Float64Array(COLUMNS).fill(NaN), sensed: new Uint8Array(count), first: ones, last: ones, lastAway: ones,
     ends: [hz(0), hz(1), hz(lines.length - 1)], floors: floors.slice(),
   };
   const needed = neededOf(grid, rows, lines, out.floors);
-  if (needed && !needed.some(Boolean)) return started(rows, lines[0], x, y, out);
-  needed?.fill(1, 0, 1).fill(1, lines.length - 1);
-  out.found = pieces(new Float64Array(COLUMNS * count), COLUMNS);
-  out.found.forEach((column, c) => column.fill(isRising[c] ? -Infinity : Infinity));
-  for (let i = 0; i < lines.length; i++) {
-    if (needed && !needed[i]) continue;
-    fill(rows, lines[i], x, y);
-    alone(grid, lines[i], x, y, size, away, out);
-    if (i && (!needed || needed[i - 1])) chords(hz(i - 1), hz(i), lastX, lastY, x, y, size, away, out);
+  const all = grid.asked | CHORD;
+  const isBare = needed?.every((bits) => !bits) ?? false;
+  if (!isBare) {
+    out.found = pieces(new Float64Array(COLUMNS * count), COLUMNS);
+    out.found.forEach((column, c) => column.fill(isRising[c] ? -Infinity : Infinity));
+  }
+  for (let i = 0; i < (isBare ? 1 : lines.length); i++) {
+    const bits = needed ? needed[i] : all;
+    if (!bits && i && i < lines.length - 1) continue;
+    now.fill(rows, lines[i]);
+    if (bits) alone(grid, lines[i], now, ones, bits, out);
+    if (i && bits & CHORD) chords(hz(i - 1), hz(i), before, now, out);
     if (!i) {
-      out.first.set(size);
-      if (begins) out.sensed.forEach((_, r) => (out.sensed[r] = away[r] <= 2 ? 1 : 0));
+      out.first = now.size.slice();
+      if (begins || isBare) now.away.forEach((away, r) => (out.sensed[r] = away <= 2 ? 1 : 0));
     }
-    [x, y, size, away, lastX, lastY, out.last, out.lastAway] = [lastX, lastY, out.last, out.lastAway, x, y, size, away];
+    [before, now] = [now, before];
   }
+  [out.last, out.lastAway] = [before.size.slice(), before.away.slice()];
+  if (!needed) floorsOf(out);
   return out;
 }
 
-/** Of lines that tell nothing else: |L|² on the first of them, and whether |S| starts above -3 dB there. */
-function started(rows: Rows, k: number, x: Float64Array, y: Float64Array, out: Scan): Scan {
-  fill(rows, k, x, y);
-  for (let r = 0; r < x.length; r++) {
-    out.first[r] = x[r] * x[r] + y[r] * y[r];
-    out.sensed[r] = (1 + x[r]) * (1 + x[r]) + y[r] * y[r] <= 2 ? 1 : 0;
-  }
-  return out;
-}
+/** |CS| where it counts as high, |S|, |T|, |CS|, |PS|, |1 - L|/|1 + L|, those over their masks, and a floor over |L|: where
+ * each is read, bit by bit of what a line may tell; and that its chord from the line before may. */
+const READ = [CONTROL_HIGH_DB, LN_MODULUS, COMPLEMENTARY_DB, CONTROL_DB, PROCESS_DB, LN_DISK, ...OVER_MASKS];
+const QUANTITIES = READ.length;
+const [CHORD, USED] = [1 << QUANTITIES, 2 << QUANTITIES];
 
-/** |CS| where it counts as high, |S|, |T|, |CS|, |PS|, |1 - L|/|1 + L|, those over their masks, and a floor over |L|. */
-const QUANTITIES = 12;
+/** Bits of what some limits are read from: |S| always, for what comes nearest to -1 is drawn in front. */
+const askedOf = (limits: ReadLimit[]): number => READ.reduce((bits, column, q) => (q === 1 || limits.some((limit) => limit.column === column) ? bits | (1 << q) : bits), 0);
 
 function quantities({ f, c2, fromHz, masks }: Grid, k: number, L: number, far: number, T: number, mirrored: number, out: Float64Array): void {
   const c = Math.sqrt(c2[k]);
-  const [CS, PS] = [c / far, T / c];
-  out[0] = f[k] >= fromHz ? CS : 0;
-  out[1] = 1 / far;
-  out[2] = T;
-  out[3] = CS;
-  out[4] = PS;
-  out[5] = mirrored / far;
+  [out[1], out[2], out[3], out[4], out[5]] = [1 / far, T, c / far, T / c, mirrored / far];
+  out[0] = f[k] >= fromHz ? out[3] : 0;
   if (!masks) return;
-  [1 / far, T, CS, PS, L].forEach((value, q) => (out[6 + q] = Math.sqrt(masks[q][k]) * value));
+  for (let q = 0; q < 4; q++) out[6 + q] = Math.sqrt(masks[q][k]) * out[1 + q];
+  out[10] = Math.sqrt(masks[4][k]) * L;
 }
 
 const ROUNDING = 1e-12;
 
-/** Which lines can tell something of a row: errors move L by a radius at most. Null where there are none, or all can. */
-function neededOf(grid: Grid, { L, reference, factor, draws }: Rows, lines: ArrayLike<number>, floors: Float64Array): Uint8Array | null {
-  if (!draws || !reference || !factor || grid.masks?.[5].some(Boolean)) return null;
+/** What the largest of each quantity is, where one row was read from all lines. */
+function floorsOf({ found, floors }: Scan): void {
+  if (found[0].length > 1) return;
+  READ.forEach((column, q) => {
+    const square = isRising[column] ? found[column][0] : 1 / found[column][0];
+    if (square > 0 && square < Infinity) floors[q] = Math.max(floors[q], Math.sqrt(square) * (1 - ROUNDING));
+  });
+}
+
+/** What each line can tell of a row, in bits: errors move L by a radius at most. Null where all can tell all. */
+function neededOf(grid: Grid, { L, reference = L, factor, draws }: Rows, lines: ArrayLike<number>, floors: Float64Array): Uint16Array | null {
+  if ((!draws && !floors.some(Boolean)) || grid.masks?.[5].some(Boolean)) return null;
   const n = lines.length;
   const most = new Float64Array(n * QUANTITIES);
+  const mostHere = new Float64Array(QUANTITIES);
   const nearest = new Float64Array(n).fill(Infinity);
-  const out = new Uint8Array(n);
+  const out = new Uint16Array(n);
   const least = new Float64Array(QUANTITIES);
-  let [before, now] = [new Float64Array(7), new Float64Array(7)];
+  const nothing: Disk = { x: 0, y: 0, moved: 0, size: 0, far: 0, leastT: 0, mostT: 0 };
+  let [before, now] = [{ ...nothing }, { ...nothing }];
   for (let i = 0; i < n; i++) {
     const k = lines[i];
     const [x, y] = [reference.re[k], reference.im[k]];
     const [l, far, mirrored] = [size(x, y), size(1 + x, y), size(1 - x, y)];
-    const moved = Math.max(size(factor.re[k], factor.im[k]) * draws[k].most, size(L.re[k] - x, L.im[k] - y)) + ROUNDING * (1 + l);
-    const own = most.subarray(i * QUANTITIES, (i + 1) * QUANTITIES);
+    const drawn = draws && factor ? size(factor.re[k], factor.im[k]) * draws[k].most : 0;
+    const moved = Math.max(drawn, size(L.re[k] - x, L.im[k] - y)) + ROUNDING * (1 + l);
     const inverse = l > moved ? moved / (l * (l - moved)) : Infinity; // how far 1/L moves, by which a large |T| does
     const [leastT, mostT] = [1 / (far / l + inverse), far / l > inverse ? 1 / (far / l - inverse) : Infinity];
     const [lower, upper] = [Math.max(l - moved, 0), Math.max(far - moved, 1e-150)];
     quantities(grid, k, lower, far + moved, Math.max(lower / (far + moved), leastT), Math.max(mirrored - moved, 0), least);
-    quantities(grid, k, l + moved, upper, Math.min((l + moved) / upper, mostT), mirrored + moved, own);
-    for (let q = 0; q < QUANTITIES; q++) floors[q] = Math.max(floors[q], least[q]);
-    now.set([x, y, moved, l, far, least[2], own[2]]);
+    quantities(grid, k, l + moved, upper, Math.min((l + moved) / upper, mostT), mirrored + moved, mostHere);
+    most.set(mostHere, i * QUANTITIES);
+    for (let q = 0; q < QUANTITIES; q++) if (least[q] > floors[q]) floors[q] = least[q];
+    [now.x, now.y, now.moved, now.size, now.far, now.leastT, now.mostT] = [x, y, moved, l, far, least[2], mostHere[2]];
     if (i) {
-      nearest[i] = chord(reference, lines[i - 1], k) - Math.max(moved, before[2]);
-      if (mayCross(before, now)) out[i] = out[i - 1] = 1;
+      nearest[i] = chord(reference, lines[i - 1], k) - Math.max(moved, before.moved);
+      if (mayCross(before, now)) out[i] = CHORD;
     }
     [before, now] = [now, before];
   }
   for (let i = 0; i < n; i++) {
-    for (let q = 0; q < QUANTITIES; q++) if (most[i * QUANTITIES + q] >= floors[q] && most[i * QUANTITIES + q] > 0) out[i] = 1;
-    if (nearest[i] * floors[1] <= 1) out[i] = out[i - 1] = 1;
+    for (let q = 0; q < QUANTITIES; q++) if (most[i * QUANTITIES + q] >= floors[q] && most[i * QUANTITIES + q] > 0) out[i] |= grid.asked & (1 << q);
+    if (nearest[i] * floors[1] <= 1) out[i] |= CHORD;
+    if (i && out[i] & CHORD) out[i - 1] |= USED;
   }
   return out;
 }
 
 /** Whether errors allow |L|, its phase, |S| or |T| to pass a level between two lines. */
-function mayCross([x0, y0, r0, l0, far0, least0, most0]: Float64Array, [x1, y1, r1, l1, far1, least1, most1]: Float64Array): boolean {
-  const clear = (a: number, b: number, level: number): boolean => (a - r0 > level && b - r1 > level) || (a + r0 < level && b + r1 < level);
-  const ofT = Math.min(least0, least1) > Math.SQRT1_2 || Math.max(most0, most1) < Math.SQRT1_2;
-  return !(ofT && clear(l0, l1, 1) && clear(far0, far1, Math.SQRT2) && (clear(y0, y1, 0) || (x0 > r0 && x1 > r1)));
+function mayCross(a: Disk, b: Disk): boolean {
+  const clear = (one: number, other: number, level: number): boolean =>
+    (one - a.moved > level && other - b.moved > level) || (one + a.moved < level && other + b.moved < level);
+  const ofT = Math.min(a.leastT, b.leastT) > Math.SQRT1_2 || Math.max(a.mostT, b.mostT) < Math.SQRT1_2;
+  return !(ofT && clear(a.size, b.size, 1) && clear(a.far, b.far, Math.SQRT2) && (clear(a.y, b.y, 0) || (a.x > a.moved && b.x > b.moved)));
+}
+
+/** Where errors may move L on a line: a disk about x, y, and what |L|, |1 + L| and |T| are there. */
+interface Disk {
+  x: number;
+  y: number;
+  moved: number;
+  size: number;
+  far: number;
+  leastT: number;
+  mostT: number;
 }
 
 const size = (x: number, y: number): number => Math.sqrt(x * x + y * y);
 
-function fill({ L, reference, factor, draws }: Rows, k: number, x: Float64Array, y: Float64Array): void {
-  [x[0], y[0]] = [L.re[k], L.im[k]];
-  if (!reference || !factor || !draws) return;
-  const { re, im } = draws[k];
-  const [cr, ci, rr, ri] = [factor.re[k], factor.im[k], reference.re[k], reference.im[k]];
-  [x[1], y[1]] = [rr, ri];
-  for (let d = 0; d < re.length; d++) {
-    x[d + 2] = rr + (re[d] * cr - im[d] * ci);
-    y[d + 2] = ri + (re[d] * ci + im[d] * cr);
+/** What one line tells by itself, of the quantities whose bits are set. */
+function alone({ f, c2, fromHz, masks }: Grid, k: number, { size, away, mirrored }: Place, ones: Float64Array, bits: number, { found, at }: Scan): void {
+  const c = c2[k];
+  for (let q = 0; q < (masks ? QUANTITIES : 6); q++) {
+    if (!(bits & (1 << q))) continue;
+    const own = found[READ[q]];
+    const known = own[0];
+    if (q === 1) least(own, away, ones);
+    else if (q === 5) least(own, away, mirrored);
+    else {
+      // |S|, |T|, |CS| and |PS| are 1, |L|, |C| and |L/C| over |1 + L|
+      const of = q < 6 ? q : q - 5;
+      const mask = q < 6 ? 1 : (masks as Real[])[q - 6][k];
+      const weight = of === 3 || !q ? c * mask : of === 4 ? mask / c : mask;
+      if (q ? weight > 0 || q < 6 : f[k] >= fromHz) largest(own, of === 2 || of === 4 || of === 5 ? size : ones, of < 5 ? away : of === 5 ? ones : size, weight);
+    }
+    if (own[0] !== known) at[READ[q]] = f[k];
   }
 }
 
-/** What one line tells by itself; |L|² and |1 + L|² there. Quotients are compared as products. */
-function alone({ f, c2, fromHz, masks }: Grid, k: number, x: Float64Array, y: Float64Array, size: Float64Array, away: Float64Array, out: Scan): void {
-  const { found, at } = out;
-  const { [COMPLEMENTARY_DB]: T, [CONTROL_DB]: CS, [CONTROL_HIGH_DB]: high, [PROCESS_DB]: PS, [LN_DISK]: disk, [LN_MODULUS]: modulus } = found;
-  const [hz, c, isHigh, count] = [f[k], c2[k], f[k] >= fromHz, x.length];
-  for (let r = 0; r < count; r++) {
-    const y2 = y[r] * y[r];
-    const l2 = x[r] * x[r] + y2;
-    const near = (1 + x[r]) * (1 + x[r]) + y2;
-    const d2 = near > TINY ? near : TINY;
-    const m2 = Math.max((1 - x[r]) * (1 - x[r]) + y2, TINY);
-    size[r] = l2;
-    away[r] = d2;
-    if (l2 > T[r] * d2) {
-      T[r] = l2 / d2;
-      if (!r) at[COMPLEMENTARY_DB] = hz;
-    }
-    if (c > CS[r] * d2) {
-      CS[r] = c / d2;
-      if (!r) at[CONTROL_DB] = hz;
-    }
-    if (isHigh && c > high[r] * d2) {
-      high[r] = c / d2;
-      if (!r) at[CONTROL_HIGH_DB] = hz;
-    }
-    if (l2 > PS[r] * c * d2) {
-      PS[r] = l2 / c / d2;
-      if (!r) at[PROCESS_DB] = hz;
-    }
-    if (d2 < disk[r] * m2) {
-      disk[r] = d2 / m2;
-      if (!r) at[LN_DISK] = hz;
-    }
-    if (near < modulus[r]) {
-      modulus[r] = near;
-      if (!r) at[LN_MODULUS] = hz;
-    }
+/** Quotients are compared as products. */
+function largest(own: Float64Array, top: Float64Array, bottom: Float64Array, weight: number): void {
+  for (let r = 0; r < own.length; r++) {
+    const below = bottom[r] > TINY ? bottom[r] : TINY;
+    if (weight * top[r] > own[r] * below) own[r] = (weight * top[r]) / below;
   }
-  if (masks) for (let r = 0; r < count; r++) overMasks(masks, k, hz, 1 / away[r], size[r] / away[r], c, size[r], r, out);
+}
+
+function least(own: Float64Array, top: Float64Array, bottom: Float64Array): void {
+  for (let r = 0; r < own.length; r++) {
+    const below = bottom[r] > TINY ? bottom[r] : TINY;
+    if (top[r] < own[r] * below) own[r] = top[r] / below;
+  }
 }
 
 /** What the chords from the line before tell, with crossings on them. */
-function chords(
-  f0: number, f1: number, x0: Float64Array, y0: Float64Array, x1: Float64Array, y1: Float64Array, size: Float64Array, away: Float64Array, out: Scan,
-): void {
-  const { found, at, sensed, last, lastAway } = out;
-  const { [LN_MODULUS]: modulus, [LN_BANDWIDTH_HZ]: bandwidth, [LN_SENSITIVITY_HZ]: ofS, [LN_COMPLEMENTARY_HZ]: ofT } = found;
+function chords(f0: number, f1: number, before: Place, now: Place, out: Scan): void {
+  const { found, at, sensed } = out;
+  const [{ x: x0, y: y0, size: last, away: lastAway }, { x: x1, y: y1, size, away }] = [before, now];
+  const [modulus, bandwidth, ofS, ofT] = [found[LN_MODULUS], found[LN_BANDWIDTH_HZ], found[LN_SENSITIVITY_HZ], found[LN_COMPLEMENTARY_HZ]];
   const count = x1.length;
   for (let r = 0; r < count; r++) {
     const x = 1 + x0[r];
@@ -347,6 +397,13 @@ export function joined(lower: Scan, upper: Scan): Scan {
   return { found, at, ...whole };
 }
 
+/** Whether two ways that one scan goes on from end alike: what lies below the lines is large in every row of both. */
+export function endsAlike(one: Scan, other: Scan, grid: Grid): boolean {
+  if (one.found !== other.found || grid.asksReduction) return false;
+  const large = ({ first }: Scan): boolean => first.every((size) => size >= LARGE ** 2);
+  return large(one) && large(other) && one.sensed.every((value, r) => value === other.sensed[r]);
+}
+
 /** Margins of one loop by column, and where they lie in Hz. */
 export interface Reading {
   found: Float64Array;
@@ -356,17 +413,7 @@ export interface Reading {
 /** Margins of L on all lines of the grid. */
 export function read(grid: Grid, L: Complex): Reading {
   const { found, at } = ended(grid, scan(grid, { L }, Array.from(grid.f.keys())), true);
-  return { found: Float64Array.from(found, ([value], c) => inUnits(c, value)), at };
-}
-
-/** Squared excess of each response over its masks at the k-th frequency, and of the floor over |L|. */
-function overMasks(masks: Real[], k: number, hz: number, s2: number, t2: number, c2: number, l2: number, r: number, out: Readings): void {
-  over(out, r, MASK_S, s2, masks[0][k], hz);
-  over(out, r, MASK_T, t2, masks[1][k], hz);
-  over(out, r, MASK_CS, c2 * s2, masks[2][k], hz);
-  over(out, r, MASK_PS, t2 / Math.max(c2, TINY), masks[3][k], hz);
-  over(out, r, MASK_L, l2, masks[4][k], hz);
-  over(out, r, FLOOR_L, 1 / Math.max(l2, TINY), masks[5][k], hz);
+  return { found: Float64Array.from(found, (own, c) => inUnits(c, own[0])), at };
 }
 
 function over(out: Readings, r: number, column: number, size2: number, weight: number, hz: number): void {

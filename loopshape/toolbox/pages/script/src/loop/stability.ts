@@ -1,12 +1,12 @@
 // Nyquist's count with the contour closed, and what keeps the lines from carrying it (Python: loop/stability.py,
 // obstacles.py, holes.py). What cannot be proved here is undecided.
 
-import { clip, concat, deg, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
+import { clip, concat, deg, joined, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
-import { belowLines, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
+import { belowLines, chordsOf, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
 import { aboveHz } from "./margins";
-import { angleOf, chords } from "./turns";
+import { angleOf, turnAlong } from "./turns";
 
 export interface Stability {
   outcome: "stable" | "unstable" | "undecided";
@@ -84,7 +84,8 @@ function counted(loop: Loop, unstable: number, between: Past, below: Complex[]):
   const near = below.length ? 0 : swingNear(loop);
   const ways: (Complex | null)[] = below.length ? below : [null];
   const fitDeg = loop.plant.source.constants.fit_deg;
-  const counts = new Set(ways.map((way) => countUnstable(loop.denseL, loop.integrators, unstable, way, fitDeg, near)));
+  const along = turnAlong(loop.denseL, 0, loop.denseL.re.length - 1);
+  const counts = new Set(ways.map((way) => countUnstable(loop.denseL, loop.integrators, unstable, way, fitDeg, near, along)));
   const poles = counts.size === 1 ? [...counts][0] : null;
   return poles === null ? null : poles - 2 * between.turns;
 }
@@ -153,19 +154,17 @@ function startOf(loop: Loop, extrapolated: Complex | null, unstable: number): nu
   return [1 + size * [1, 0, -1, 0][quarter], size * [0, -1, 0, 1][quarter]];
 }
 
-/** Closed-loop poles in the right half plane by the bare count, null where the first value fits badly. */
+/** Closed-loop poles in the right half plane by the bare count, null where the first value fits badly; `along` is how far
+ * 1 + L turns along its lines. */
 export function countUnstable(
-  L: Complex, integrators: number, unstable: number, below: Complex | null, fitDeg: number, near = 0,
+  L: Complex, integrators: number, unstable: number, below: Complex | null, fitDeg: number, near = 0, along = turnAlong(L, 0, L.re.length - 1),
 ): number | null {
-  const extrapolated = below !== null && below.re.length > 0;
-  const re = extrapolated ? concat(below.re, L.re) : L.re;
-  const im = extrapolated ? concat(below.im, L.im) : L.im;
-  const start = turnToFirst(re[0], im[0], integrators, unstable % 2 === 1, extrapolated, fitDeg, near);
+  const lower = below?.re.length ? joined(below, { re: L.re.subarray(0, 1), im: L.im.subarray(0, 1) }) : null;
+  const { re, im } = lower ?? L;
+  const start = turnToFirst(re[0], im[0], integrators, unstable % 2 === 1, lower !== null, fitDeg, near);
   if (start === null) return null;
-  let turn = start;
-  for (let k = 1; k < re.length; k++) turn += angleOf(1 + re[k], im[k], 1 + re[k - 1], im[k - 1]);
-  const last = re.length - 1;
-  turn -= Math.atan2(im[last], 1 + re[last]);
+  const last = L.re.length - 1;
+  const turn = start + (lower ? turnAlong(lower, 0, re.length - 1) : 0) + along - Math.atan2(L.im[last], 1 + L.re[last]);
   return Math.round(unstable + 0.5 * Math.max(integrators, 0) - turn / Math.PI);
 }
 
@@ -257,7 +256,7 @@ function pastPlaces({ f, dense }: Loop, between: Past): Uint8Array {
 
 function onIt(loop: Loop, between: Past): Undecided | null {
   const past = pastPlaces(loop, between);
-  const near = chords(loop.denseL).map((value, k) => (past[k] || past[k + 1] ? Infinity : value));
+  const near = chordsOf(loop).map((value, k) => (past[k] || past[k + 1] ? Infinity : value));
   const k = near.reduce((best, value, i) => (value < near[best] ? i : best), 0);
   if (!near.length || near[k] >= loop.plant.source.constants.on_it) return null;
   const at = loop.dense.f[k];
@@ -272,7 +271,7 @@ function doubt(loop: Loop, between: Past, start: number[] | null): Undecided | n
   if (!draws) return { reason: "intervals are still being computed", band_hz: null };
   const std = magnitudes(C).map((size, k) => size * draws[k].rms);
   const common = Float64Array.from(draws, (one, k) => (k ? one.common(draws[k - 1]) : 0));
-  const chord = chords(L);
+  const chord = chordsOf(loop);
   const past = pastPlaces(loop, between);
   const radius = new Float64Array(n);
   for (let k = 0; k < n; k++) {

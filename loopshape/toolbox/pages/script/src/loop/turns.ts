@@ -16,7 +16,9 @@ export function turnAlong(L: Complex, from: number, to: number): number {
 
 /** Distance of each chord of L from -1. */
 export function chords(L: Complex): Real {
-  return Float64Array.from({ length: Math.max(L.re.length - 1, 0) }, (_, k) => chord(L, k, k + 1));
+  const out = new Float64Array(Math.max(L.re.length - 1, 0));
+  for (let k = 0; k < out.length; k++) out[k] = chord(L, k, k + 1);
+  return out;
 }
 
 export function chord(L: Complex, k: number, next: number): number {

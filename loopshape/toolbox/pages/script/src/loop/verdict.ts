@@ -3,7 +3,7 @@
 import type { Controller } from "../numbers/controller";
 import { Source } from "../numbers/dense";
 import { withDetuning, withResonances, worstReading } from "./detuning";
-import { readerOf, requirementsAt } from "./limits";
+import { askedOf, readerOf, requirementsAt, type Reader } from "./limits";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
 import type { Limit, Payload, PlantLoop, Requirements } from "../payload";
@@ -119,7 +119,7 @@ export class Engine {
   }
 
   estimate(index: number, controller: Controller, requirements: Requirements): Margins {
-    return margins(this.quickLoop(index, controller), readerOf(this.askedAt(index, requirements), this.payload.limits));
+    return margins(this.quickLoop(index, controller), this.readerAt(index, requirements, false));
   }
 
   /** One operating point under a controller, without draws. */
@@ -136,6 +136,12 @@ export class Engine {
     return requirementsAt(requirements, this.loop.points[index].operating_point);
   }
 
+  private readerAt(index: number, requirements: Requirements, all: boolean): Reader {
+    const { limits } = this.payload;
+    const asked = this.askedAt(index, requirements);
+    return readerOf(asked, all ? limits : askedOf(asked, limits));
+  }
+
   /** The verdict on margins at all operating points. */
   verdict(requirements: Requirements, found: Margins[]): Verdict {
     return this.verdictOf(this.asked(requirements), found);
@@ -145,10 +151,10 @@ export class Engine {
     return verdictOn(this.payload.limits, asked, found);
   }
 
-  /** One operating point as Python's check reads it. */
-  settled(index: number, controller: Controller, requirements: Requirements): Margins {
+  /** One operating point as Python's check reads it: of what is required, or of all quantities. */
+  settled(index: number, controller: Controller, requirements: Requirements, all = false): Margins {
     const loop = new Loop(this.drawn[index], controller);
-    return { ...margins(loop, readerOf(this.askedAt(index, requirements), this.payload.limits)), stability: closedLoopStability(loop), settled: true };
+    return { ...margins(loop, this.readerAt(index, requirements, all)), stability: closedLoopStability(loop), settled: true };
   }
 
   /** The same with its detuning margin, which takes longest. */
