@@ -467,7 +467,10 @@ class Page implements Guest {
 
   private tellSoon(): void {
     clearTimeout(this.timer);
-    this.timer = setTimeout(() => this.host.changed(this), 150);
+    this.timer = setTimeout(() => {
+      this.host.changed(this);
+      this.entitle();
+    }, 150);
   }
 
   private traced(controller: Controller): Trace[] {
@@ -485,7 +488,7 @@ class Page implements Guest {
     const found = this.engines[this.current].verdict(requirements, margins);
     for (const known of STAGES.slice(0, STAGES.indexOf(stage) + 1)) this.late[known] = found;
     if (JSON.stringify([controller, requirements]) !== JSON.stringify([now.controller, now.requirements])) {
-      this.tabulate(); // of a moment ago: what moves is drawn already
+      if (!this.queued) this.tabulate(); // of a moment ago: what moves is drawn already, or is about to be
       return;
     }
     this.found = found;
@@ -529,6 +532,7 @@ class Page implements Guest {
     const found = this.found as Verdict;
     const asked = found.rows.length > 0;
     const open = this.open;
+    this.draw(); // first: a canvas asks for styles, which words that changed would make anew
     this.verdict.replaceChildren(badge(this.outcome));
     this.unjudged.textContent = open.length ? `Required and not judged on this page: ${open.join("; ")}. Judge these with loopshape ${this.signing}.` : "";
     this.unjudged.hidden = !open.length;
@@ -547,8 +551,11 @@ class Page implements Guest {
       : `The certificate (${word}) is of an earlier design. ${here} Sign this one with loopshape ${this.signing}.`;
     const can = { undo: this.histories[this.current].can(-1), redo: this.histories[this.current].can(1), swap: this.others[this.current] !== null };
     for (const [id, may] of Object.entries(can)) (this.root.querySelector(`#${id}`) as HTMLButtonElement).disabled = !may;
+    if (this.outcome) this.entitle();
+  }
+
+  private entitle(): void {
     this.host.titled(`${this.outcome ?? "…"} · ${this.loop.name} · loopshape shape`);
-    this.draw();
   }
 
   private tabulate(): void {

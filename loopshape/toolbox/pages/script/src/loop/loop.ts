@@ -211,7 +211,8 @@ export function holdsBelow(loop: Loop, poles: number): boolean {
 /** The lines that a loop's margins are read from, once for each model that tells what lies below them. */
 export function readings(loop: Loop): Judged[] {
   const { dense, denseC, denseL, point } = loop;
-  const j = { f: dense.f, L: denseL, C: denseC, reference: times(denseC, dense.reference), factor: denseC, draws: dense.draws };
+  const reference = dense.reference === dense.P ? denseL : times(denseC, dense.reference);
+  const j = { f: dense.f, L: denseL, C: denseC, reference, factor: denseC, draws: dense.draws };
   if (point.integrators === null || isLarge(loop) || !inSight(loop)) return [j];
   const models = j.draws ? point.extrapolated : point.extrapolated.slice(0, 1); // the others widen intervals
   return models.length ? fromBelow(loop, j, models) : [j];
@@ -235,6 +236,7 @@ function fromBelow(loop: Loop, j: Judged, models: ExtrapolatedModel[]): Judged[]
       const [{ re, im }] = draws;
       draws[0] = new Drawn(re.map((x, d) => below.re[0] * x - below.im[0] * im[d]), new Float64Array(re.length));
     }
-    return { f, L: joined(L, j.L), C, reference: joined(L, j.reference), factor, draws: draws && draws.concat(j.draws as Draws), measured: j };
+    const whole = joined(L, j.L);
+    return { f, L: whole, C, reference: j.reference === j.L ? whole : joined(L, j.reference), factor, draws: draws && draws.concat(j.draws as Draws), measured: j };
   });
 }

@@ -147,18 +147,16 @@ interface Scans {
 /** What the lines tell with each model of those below them: from the first line on they are scanned once. */
 function scansOf(loop: Loop, ways: Judged[], grid: kernel.Grid): Scans[] {
   const [first] = ways;
-  const every = Array.from(grid.f.keys());
+  const [every, ...halves] = kernel.linesOf(grid.f.length);
   const below = every.length - loop.dense.f.length;
-  const last = every.length - 1;
-  const halves = first.draws ? [0, 1].map((half) => every.filter((k) => k % 2 === half || k === 0 || k === last)) : [];
-  const each = (lines: number[], rows: (j: Judged) => kernel.Rows): kernel.Scan[] => {
+  const each = (lines: Int32Array, rows: (j: Judged) => kernel.Rows): kernel.Scan[] => {
     const from = lines.findIndex((k) => k >= below);
-    const upper = kernel.scan(grid, rows(first), lines.slice(from), !below);
-    const lower = lines.slice(0, from + 1);
+    const upper = kernel.scan(grid, rows(first), lines.subarray(from), !below);
+    const lower = lines.subarray(0, from + 1);
     return ways.map((j) => (below ? kernel.joined(kernel.scan(grid, rows(j), lower, true, upper.floors), upper) : upper));
   };
   const own = each(every, (j) => j);
-  const coarse = halves.map((lines) => each(lines, (j) => ({ L: j.reference })));
+  const coarse = first.draws ? halves.map((lines) => each(lines, (j) => ({ L: j.reference }))) : [];
   return own.map((one, m) => ({ own: one, halves: coarse.map((half) => half[m]) }));
 }
 

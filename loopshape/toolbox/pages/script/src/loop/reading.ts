@@ -158,6 +158,18 @@ class Place {
   }
 }
 
+const numbered = new Map<number, Int32Array[]>();
+
+/** All of so many lines, and the even and the odd ones, each with the first and the last. */
+export function linesOf(count: number): Int32Array[] {
+  const known = numbered.get(count);
+  if (known) return known;
+  const every = Int32Array.from({ length: count }, (_, k) => k);
+  const made = [every, ...[0, 1].map((half) => every.filter((k) => k % 2 === half || k === 0 || k === count - 1))];
+  numbered.set(count, made);
+  return made;
+}
+
 const places = new Map<number, [Place, Place]>();
 
 /** Two places to scan with, which the next scan overwrites. */
@@ -412,7 +424,7 @@ export interface Reading {
 
 /** Margins of L on all lines of the grid. */
 export function read(grid: Grid, L: Complex): Reading {
-  const { found, at } = ended(grid, scan(grid, { L }, Array.from(grid.f.keys())), true);
+  const { found, at } = ended(grid, scan(grid, { L }, linesOf(grid.f.length)[0]), true);
   return { found: Float64Array.from(found, (own, c) => inUnits(c, own[0])), at };
 }
 

@@ -130,7 +130,7 @@ export class Moved {
     const { grid, C } = this.shiftedBy(by);
     const { values } = this.reading(percent);
     const L = times(C, { re: P.re.subarray(0, C.re.length), im: P.im.subarray(0, C.re.length) });
-    const { found } = kernel.ended(grid, kernel.scan(grid, { L, reference: L, factor: C, draws: this.of.lines.draws }, Array.from(grid.f.keys())), true);
+    const { found } = kernel.ended(grid, kernel.scan(grid, { L, reference: L, factor: C, draws: this.of.lines.draws }, kernel.linesOf(grid.f.length)[0]), true);
     const made = { bias: new Float64Array(kernel.COLUMNS), half_width: new Float64Array(kernel.COLUMNS) };
     for (let c = 0; c < kernel.COLUMNS; c++) {
       const off = found[c].subarray(2).map((value) => kernel.inUnits(c, value) - values[c]);
