@@ -106,7 +106,8 @@ def report_tuning(tuning: Tuning, output: Output) -> None:
         "" if tuning.rejection_db is None else f", low-frequency disturbances down by {tuning.rejection_db:.3g} dB"
     )
     lowest = f"lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection}{_norm(tuning)}"
-    title = f"Loop {tuning.controller.loop}: {lowest} over {len(tuning.verdict.margins)} FRFs"
+    count = len(tuning.verdict.margins)
+    title = f"Loop {tuning.controller.loop}: {lowest} over {count} FRF{'s' * (count != 1)}"
     output.table(title, ["block", "parameters"], rows)
     if tuning.growth:
         report_growth(tuning.growth, output)

@@ -52,7 +52,9 @@ def shape(
         return
     size = write_page(path, loops, run.resolve().name)
     for one in loops:
-        output.say(f"loop {one.controller.loop}: {len(one.frfs)} FRFs, starts {one.verdict.outcome.value}")
+        count = len(one.frfs)
+        start = one.verdict.outcome.value
+        output.say(f"loop {one.controller.loop}: {count} FRF{'s' * (count != 1)}, verdict at the start: {start}")
     output.say(f"page: {path} ({size / 1e6:.1f} MB)")
     output.json({"page": str(path), "bytes": size, "loops": [one.controller.loop for one in loops]})
 
@@ -92,7 +94,7 @@ def report(
         made, size = write_report(path, run, (controller, require, diagram), date, figures_mb, author, matrix)
     output.warn(f"left out of the report: {name}: {why}" for name, why in made.figures_left_out.items())
     for one in made.missing:
-        output.say(f"missing: {one.what} {one.command}".rstrip())
+        output.say(f"note: {one.what} {one.command}".rstrip())
     output.say(f"verdict: {'no requirement' if made.outcome is None else WORDS[made.outcome]}")
     output.say(f"report: {path} ({size / 1e6:.1f} MB)")
     answer = {"outcome": made.outcome or "none", "missing": made.missing, "figures_left_out": made.figures_left_out}

@@ -396,8 +396,8 @@ def sentence(name: str, a: Attribution, ranking: Sequence[Ranked], place: Where,
         return f"{text}; no held-out gap to shrink."
     floor = "what a good model leaves" if a.evidence.least.all() else "the noise floor"
     return (
-        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} times {floor}"
-        f" ({gap.shrink:.0%})."
+        f"{text}; with it the held-out gap shrinks from {gap.before:.1f} to {gap.after:.1f} times {floor},"
+        f" by {gap.shrink:.0%} of what exceeds it."
     )
 
 
