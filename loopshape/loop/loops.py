@@ -231,7 +231,7 @@ def unstable_by_fit(fit: Fit) -> int | None:
         if size.value > last_hz or damping.value >= 0.0:
             continue
         low_hz, high_hz = size.interval
-        if not (damping.interval[1] < 0.0 if damping.value > -1.0 else 0.0 < low_hz and high_hz <= last_hz):
+        if not (damping.interval[1] < 0.0 if damping.value > -1.0 else low_hz > 0.0 and high_hz <= last_hz):
             return None
     return int(np.sum(unstable_hz <= last_hz))
 

@@ -94,8 +94,8 @@ def report_fits(fits: list[Fit], output: Output, folder: Path) -> None:
     bad = [f for f in fits if not f.sufficient]
     if bad:
         output.say(
-            f"not adequate: {len(bad)} of {len(fits)}, leaving more than the noise; intervals are widened, and checks use"
-            " the FRF itself"
+            f"not adequate: {len(bad)} of {len(fits)}, leaving more than the noise; intervals are widened, and checks"
+            " use the FRF itself"
         )
     output.warn(f"{f.recording}: the fit ended as {f.outcome}" for f in fits if not f.converged)
     output.json({"run": str(folder), "fits": fits})

@@ -127,7 +127,8 @@ def test_an_integrator_guessed_from_the_lowest_lines_leaves_open_where_the_step_
     numerator, denominator = closed(b, a, C)
     error = 1.0 - numerator.sum() / denominator.sum()
     low, high = ls.predict(P, C, ls.Requirements(unstable_poles=0))[0].step.indicators.intervals["steady_state_error"]
-    assert low <= 0.0 and error == pytest.approx(0.0164, abs=1e-4)
+    assert low <= 0.0
+    assert error == pytest.approx(0.0164, abs=1e-4)
     assert error < high < 1.2 * error
     declared = ls.Requirements(integrators=1, unstable_poles=0)
     assert ls.predict(P, C, declared)[0].step.indicators.intervals["steady_state_error"] == (0.0, 0.0)
