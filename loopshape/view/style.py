@@ -97,15 +97,6 @@ def shades(n: int) -> list[str]:
     return [to_hex(ramp(0.88 * i / (n - 1))) for i in range(n)]
 
 
-class _AlignedLast(ConstrainedLayoutEngine):
-    """Constrained layout, then labels in line: a column is as wide either way, and aligned axes ask all others."""
-
-    def execute(self, fig: Figure) -> None:
-        """Place the axes, then align the labels of the y axes."""
-        super().execute(fig)
-        fig.align_ylabels()
-
-
 @styled()
 def head(figure: Figure, title: str, *details: str) -> None:
     """Title at the left, at most four lines of details below it in grey; the figure grows by what the axes lack.
@@ -122,8 +113,10 @@ def head(figure: Figure, title: str, *details: str) -> None:
     figure.text(0.012, 1.0 - 0.06 / height, title, va="top", fontsize=10.0)
     for k, line in enumerate(lines):
         figure.text(0.012, 1.0 - (0.25 + 0.165 * k) / height, line, va="top", fontsize=8.0, color=QUIET)
-    if isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine):
-        figure.set_layout_engine(_AlignedLast(rect=(0.0, 0.0, 1.0, 1.0 - room / height)))
+    engine = figure.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        engine.set(rect=(0.0, 0.0, 1.0, 1.0 - room / height))
+    figure.align_ylabels()
 
 
 def wrapped(text: str, width: int) -> list[str]:
