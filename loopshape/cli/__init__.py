@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+
 from loopshape.verbs.session import guarded
 
 
@@ -11,6 +13,7 @@ def script() -> None:
 
 
 def _run() -> None:
+    gc.set_threshold(200_000)  # one command leaves little to collect; looking for it took a twentieth of `check`
     from loopshape.cli.main import run
 
     run()

@@ -138,6 +138,7 @@ def png(figure: Figure) -> bytes:
     figure.dpi = 150
     for spine in (spine for ax in figure.axes for spine in ax.spines.values()):
         spine.set_in_layout(False)  # as wide as the axes, whose size the layout knows
-    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})  # `savefig` draws twice
+    level = {"compress_level": 3}  # six parts in a hundred larger than at 6, in two thirds of its time
+    FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None}, pil_kwargs=level)  # `savefig` draws twice
     figure.dpi = own_dpi
     return buffer.getvalue()
