@@ -101,7 +101,7 @@ class Precision:
         return None
 
 
-__all__ = ["BLOCK_KINDS", "Block", "Controller", "block_kind", "hold_and_delay", "series_response", "step"]
+__all__ = ["BLOCK_KINDS", "Block", "Controller", "block_kind", "hold_and_delay", "series_response"]
 
 
 def hold_and_delay(frequency_hz: ArrayLike, rate_hz: float, delay_s: float = 0.0, *, hold: bool = True) -> ComplexArray:
@@ -280,32 +280,6 @@ class Controller:
             v.hex() for v in (*self.biquads().ravel().tolist(), float(self.rate_hz), float(self.computation_delay_s))
         ]
         return sha256(" ".join([*numbers, str(self.added_hold), self.precision]).encode()).hexdigest()[:16]
-
-
-def step(controller: Controller, inputs: ArrayLike) -> np.ndarray:
-    """Outputs (n,) of inputs (n,) from rest, bit for bit those of the exported step function in C.
-
-    Floating point: float64, or float32 with every operation rounded. Fixed point: inputs and outputs are whole numbers
-    (int64), in the target's own unit, clipped to `signal_limit`. Plain Python: for comparison, not for long simulation.
-    """
-    from loopshape.core.kernels import biquads
-
-    form, given = controller.number_format, np.asarray(inputs)
-    if given.ndim != 1:
-        raise WrongUseError("a controller steps through one signal (n,)", f"an array {given.shape}")
-    if not form.fixed:
-        dtype = np.float32 if form.name == "single" else np.float64
-        return biquads.run_floating(controller.biquads(), np.asarray(given, dtype=dtype), dtype)
-    if given.dtype.kind not in "iu":
-        raise WrongUseError(
-            f"a controller in {form.name} answers to whole numbers", str(given.dtype), "scale and round the signal"
-        )
-    sections = controller.biquads()
-    feedback = [biquads.error_feedback(a1, a2) for *_, a1, a2 in sections.tolist()]
-    out = biquads.run_fixed(
-        form.integers(sections), feedback, given.tolist(), form.fraction_bits, form.signal_limit
-    )  # fmt: skip
-    return np.array(out, dtype=np.int64)
 
 
 def _number(value: Any) -> bool:

@@ -1,7 +1,7 @@
 """Nouns of the bench without a public name, for tests that build them: the one place that knows where they live."""
 
 from loopshape.data.control.block import Block, BlockTemplate, Free
-from loopshape.data.control.controller import Precision, step
+from loopshape.data.control.controller import Precision
 from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
@@ -45,5 +45,4 @@ __all__ = [
     "ThirdOrder",
     "TransferFunction",
     "Variable",
-    "step",
 ]

@@ -6,7 +6,6 @@ from bench_nouns import Block
 from interaction_nouns import F, coupled_by, errors, matrix_frf
 
 import loopshape as ls
-from loopshape.data.algebra import channels
 from loopshape.toolbox.diagrams.coupling.bounds import magnitude_bounds, product_bounds
 from loopshape.toolbox.diagrams.coupling.interaction import closing_the_others, interaction_coefficient, relative_gain
 
@@ -134,7 +133,7 @@ def test_the_deviation_of_what_closing_the_others_changes_is_its_scatter():
 
 def test_a_part_of_a_matrix_has_its_own_covariance():
     frf = matrix_frf(coupled_by(-15.0), error=0.04)
-    turned = channels(frf, frf.outputs[::-1], frf.inputs[::-1])
+    turned = ls.interaction(frf, NAMES[::-1]).frf
     one, two = (interaction_coefficient(x, 0, 1, NAMES) for x in (frf, turned))
     np.testing.assert_allclose(one.coefficient, two.coefficient)
     np.testing.assert_allclose(one.high, two.high)

@@ -1,6 +1,6 @@
 """A controller as a C99 header that is C++ too: coefficients, a state, a reset and a step function.
 
-The step function does what `loopshape.data.control.controller.step` does, operation for operation, where the compiler
+The step function does what `step` of `controller_words` does, operation for operation, where the compiler
 evaluates in the type of the operands (FLT_EVAL_METHOD 0) and does not contract a product and a sum (-ffp-contract=off).
 """
 
@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from loopshape.core.kernels.biquads import error_feedback
 from loopshape.data.control.controller import Controller
-from loopshape.toolbox.formats.controllers.controller_words import about, block_words, identifier
+from loopshape.toolbox.formats.controllers.controller_words import about, block_words, error_feedback, identifier
 from loopshape.toolbox.formats.controllers.limited import AntiWindup, LimitedLaw
 
 _RESET = """/* To rest: the state of all sections becomes zero{also}. */

@@ -27,7 +27,6 @@ import numpy as np
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError, refuse_unknown
-from loopshape.core.kernels.biquads import error_feedback
 from loopshape.data.control.controller import Block, Controller
 from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole
@@ -35,7 +34,7 @@ from loopshape.toolbox.formats.controllers.controller_c import c_text
 from loopshape.toolbox.formats.controllers.controller_foton import foton_text
 from loopshape.toolbox.formats.controllers.controller_matlab import matlab_text, simulink_text
 from loopshape.toolbox.formats.controllers.controller_st import st_text, twincat_text
-from loopshape.toolbox.formats.controllers.controller_words import FORM, identifier
+from loopshape.toolbox.formats.controllers.controller_words import FORM, error_feedback, identifier
 from loopshape.toolbox.formats.controllers.drives import drive_text
 from loopshape.toolbox.formats.controllers.firmware import parameters_text
 from loopshape.toolbox.formats.controllers.limited import LimitedLaw, OutputLimits, limited

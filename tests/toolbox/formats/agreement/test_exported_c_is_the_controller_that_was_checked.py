@@ -8,12 +8,12 @@ import subprocess
 
 import numpy as np
 import pytest
-from bench_nouns import Block, Precision, step
+from bench_nouns import Block, Precision
 from exported_controllers import RATE_HZ, cases, inputs
 
 import loopshape as ls
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
-from loopshape.toolbox.formats.controllers.controller_words import identifier
+from loopshape.toolbox.formats.controllers.controller_words import identifier, step
 
 COMPILER = shlex.split(os.environ.get("CC", "cc"))
 FLAGS = ("-std=c99", "-O0", "-ffp-contract=off", "-Wall", "-Wextra", "-pedantic", "-Werror")

@@ -7,11 +7,11 @@ from itertools import pairwise
 import h5py
 import numpy as np
 import pytest
-from bench_nouns import step
 from scipy.signal import sosfilt
 
 import loopshape as ls
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
+from loopshape.toolbox.formats.controllers.controller_words import step
 from loopshape.toolbox.formats.frf.frf_exchange import export_frfs, read_frf_file
 
 BLOCKS = (ls.gain(-0.37), ls.lead_lag(2.2, 18.0), ls.notch(40.0, 0.05, 0.8), ls.pi(0.7))

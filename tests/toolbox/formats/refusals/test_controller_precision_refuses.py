@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_nouns import Block, LoopSetup, step
+from bench_nouns import Block, LoopSetup
 
 import loopshape as ls
 from loopshape.io.config_table import ConfigTable
 from loopshape.io.run.run_tables import loop_table, read_loops
 from loopshape.toolbox.formats.controllers.controller_export import export_controllers
+from loopshape.toolbox.formats.controllers.controller_words import step
 
 GAIN = Block("gain", {"gain": 1.0})
 SLOW = Block("low_pass_1", {"f_hz": 0.001})

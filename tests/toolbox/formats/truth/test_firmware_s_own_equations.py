@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import typer
-from bench_nouns import step
 from typer.testing import CliRunner
 
 import loopshape as ls
 from loopshape.toolbox.formats.commands.export import export_controller, firmware
+from loopshape.toolbox.formats.controllers.controller_words import step
 from loopshape.toolbox.formats.controllers.drives import controller_of_parameters, drive_parameters, drive_text
 from loopshape.toolbox.formats.controllers.firmware import (
     controller_of,

@@ -3,11 +3,11 @@
 import known_loops
 import numpy as np
 import pytest
-from bench_nouns import step
 from scipy.signal import chirp, lfilter, tf2zpk
 
 import loopshape as ls
 from loopshape.identify.signals import sum_was_logged
+from loopshape.toolbox.formats.controllers.controller_words import step
 from loopshape.toolbox.formats.tables.import_file import import_file
 from loopshape.toolbox.formats.tables.made_columns import answered, read_terms
 

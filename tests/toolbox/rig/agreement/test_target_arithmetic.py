@@ -10,6 +10,7 @@ from target_cases import GAIN, INFINITE, Bench
 import loopshape as ls
 from loopshape.core.kernels import biquads
 from loopshape.toolbox.arm.dynamics import pwm
+from loopshape.toolbox.formats.controllers.controller_words import run_floating
 from loopshape.toolbox.rig.target.messages import Request
 
 RATE_HZ = 1000.0
@@ -54,7 +55,7 @@ def test_controllers_of_twelve_sections_to_the_last_bit(bench):
     lead = [np.full(bench_ticks(samples, e), e[0]) for e in errors]
     for k, (sections, e) in enumerate(zip((SERIES, twelve), errors, strict=True)):
         signal = np.concatenate([lead[k], e])
-        mine = biquads.run_floating(sections, signal, np.float64)[len(lead[k]) :]
+        mine = run_floating(sections, signal, np.float64)[len(lead[k]) :]
         np.testing.assert_array_equal(samples[:, 4 + k], mine)
         kernel = biquads.run(sections, np.zeros((len(sections), 2)), signal)[len(lead[k]) :]
         np.testing.assert_allclose(samples[:, 4 + k], kernel, rtol=1e-8, atol=1e-9)  # it may contract
@@ -62,7 +63,7 @@ def test_controllers_of_twelve_sections_to_the_last_bit(bench):
 
 def bench_ticks(samples, errors):
     """Ticks from the setpoint to the recording: the answer to a constant error tells how many."""
-    out = biquads.run_floating(SERIES, np.full(200, -samples[0, 6]), np.float64)
+    out = run_floating(SERIES, np.full(200, -samples[0, 6]), np.float64)
     (found,) = np.flatnonzero(out == samples[0, 4])
     assert errors.size
     return int(found)
