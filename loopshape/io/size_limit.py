@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import zipfile
-import zlib
 from gzip import GzipFile
 from pathlib import Path
 from typing import IO
@@ -27,18 +26,6 @@ def check_zip(path: Path) -> None:
     """`check_growth` of all that a ZIP file (NPZ) says it holds; what is read from it is never more."""
     with zipfile.ZipFile(path) as file:
         check_growth(path, sum(member.file_size for member in file.infolist()))
-
-
-def inflated(path: Path, data: memoryview, so_far: int) -> bytes:
-    """Deflated data, whole; raises `ValueError` where it grows too far, with `so_far` bytes unpacked before."""
-    most = most_bytes(path) - so_far
-    unpack = zlib.decompressobj()
-    out = unpack.decompress(data, max(most, 0) + 1)
-    if len(out) > most:
-        raise ValueError(f"{path.stat().st_size} bytes that would become more than {most_bytes(path)}")
-    if not unpack.eof:
-        raise ValueError("a deflated part is cut short")
-    return out
 
 
 class Bounded(io.RawIOBase):

@@ -4,16 +4,9 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
-
-if TYPE_CHECKING:
-    from loopshape.data.signal.experiment import Experiment
-    from loopshape.toolbox.rig.settings import TargetSettings
-    from loopshape.toolbox.rig.simulated import Planned
-    from loopshape.toolbox.rig.target.messages import Identity
+from typing import Protocol, runtime_checkable
 
 
 @runtime_checkable
@@ -48,24 +41,3 @@ class Unwatched:
     def progress(self, label: str, total: int) -> Iterator[Callable[[str], None]]:
         """Steps that nobody counts."""
         yield lambda word: None
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """What a target is about to do: its identity, where it is, its limits, and the recordings to be made."""
-
-    identity: Identity
-    port: str
-    settings: TargetSettings
-    recordings: Sequence[Planned]
-    experiment: Callable[[Planned], Experiment]
-    notes: tuple[str, ...] = ()
-    """What a person should know before it moves: of verdicts, of what was allowed, of an older target."""
-
-    def experiments(self) -> Iterator[Experiment]:
-        """The recordings with their signals, one at a time."""
-        return map(self.experiment, self.recordings)
-
-
-#: whether a motion may begin
-Confirm = Callable[[Motion], bool]

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.gate import Count
 from loopshape.core.units import SUFFIXES, deg
 from loopshape.data.signal.channel import Channel
+
+if TYPE_CHECKING:
+    from loopshape.data.signal.experiment import Experiment
+    from loopshape.toolbox.rig.simulated import Planned
+    from loopshape.toolbox.rig.target.messages import Identity
 
 ON_LIMIT = ("vent", "hold")
 
@@ -76,3 +81,24 @@ class TargetSettings:
             raise WrongUseError("a target has commands", "none", "say in [target.commands] what each is made of")
         for column in (*self.commands, *self.limits):
             Channel.from_column(column)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """What a target is about to do: its identity, where it is, its limits, and the recordings to be made."""
+
+    identity: Identity
+    port: str
+    settings: TargetSettings
+    recordings: Sequence[Planned]
+    experiment: Callable[[Planned], Experiment]
+    notes: tuple[str, ...] = ()
+    """What a person should know before it moves: of verdicts, of what was allowed, of an older target."""
+
+    def experiments(self) -> Iterator[Experiment]:
+        """The recordings with their signals, one at a time."""
+        return map(self.experiment, self.recordings)
+
+
+#: whether a motion may begin
+Confirm = Callable[[Motion], bool]

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from loopshape.io.size_limit import inflated
+from loopshape.io.size_limit import most_bytes
 from loopshape.toolbox.formats.logs.mat_tree import DEEPEST, Handle, MatContent, Node, Thing, is_model
 from loopshape.toolbox.formats.logs.mcos import Objects, handle_of
 
@@ -57,7 +58,7 @@ def _unpacked(path: Path, raw: bytes, order: str) -> Iterator[tuple[_Element, in
     for element in _elements(memoryview(raw)[_HEADER:], order):
         start_at, at = at, at + 8 + len(element.data)
         if element.kind == _COMPRESSED:
-            unpacked = inflated(path, element.data, grown)
+            unpacked = _inflated(path, element.data, grown)
             grown += len(unpacked)
             element = _next(_elements(memoryview(unpacked), order))
         else:
@@ -104,7 +105,7 @@ def _objects(kept: np.ndarray, path: Path) -> Objects | None:
     order = {b"IM": "<", b"MI": ">"}.get(raw[2:4], "<")
     for element in _elements(memoryview(raw)[8:], order):
         if element.kind == _COMPRESSED:
-            element = _next(_elements(memoryview(inflated(path, element.data, len(raw))), order))
+            element = _next(_elements(memoryview(_inflated(path, element.data, len(raw))), order))
         if element.kind == _MATRIX:
             _, node = _variable(element.data, order, 0)
             cells = node.get("MCOS") if isinstance(node, dict) else None
@@ -234,3 +235,15 @@ def _next(parts: Iterator[_Element]) -> _Element:
     if element is None:
         raise ValueError("a variable is cut short")
     return element
+
+
+def _inflated(path: Path, data: memoryview, so_far: int) -> bytes:
+    """Deflated data, whole; raises `ValueError` where it grows too far, with `so_far` bytes unpacked before."""
+    most = most_bytes(path) - so_far
+    unpack = zlib.decompressobj()
+    out = unpack.decompress(data, max(most, 0) + 1)
+    if len(out) > most:
+        raise ValueError(f"{path.stat().st_size} bytes that would become more than {most_bytes(path)}")
+    if not unpack.eof:
+        raise ValueError("a deflated part is cut short")
+    return out

@@ -13,8 +13,8 @@ from loopshape.cli.output import AsJson, Output, Quiet, complain, point
 if TYPE_CHECKING:
     from loopshape.data.signal.experiment import LoopSetup
     from loopshape.data.signal.run import Run
+    from loopshape.toolbox.rig.settings import Motion
     from loopshape.toolbox.rig.steps.enough import Until
-    from loopshape.verbs.watch import Motion
 
 WORD = "ARM"
 

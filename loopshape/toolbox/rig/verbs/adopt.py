@@ -26,6 +26,7 @@ from loopshape.toolbox.rig.adopt.course import Adoption, Step, Trial, TrialSetti
 from loopshape.toolbox.rig.adopt.course import adopt as adopt_on
 from loopshape.toolbox.rig.adopt.forecast import required
 from loopshape.toolbox.rig.adopt.on_target import TRACK_S, OnTarget
+from loopshape.toolbox.rig.settings import Confirm
 from loopshape.toolbox.rig.simulated import Planned, Rig, plan
 from loopshape.toolbox.rig.study import Study
 from loopshape.toolbox.rig.target.link import open_link
@@ -37,7 +38,7 @@ from loopshape.toolbox.rig.target.trial import Trial as OnBoard
 from loopshape.toolbox.rig.verbs.machine import asked_study
 from loopshape.toolbox.rig.verbs.on_target import Clearance, loud, planned_motion
 from loopshape.toolbox.rig.verbs.stop import marked
-from loopshape.verbs.watch import Confirm, Unwatched, Watch
+from loopshape.verbs.watch import Unwatched, Watch
 
 
 def adopt(

@@ -21,6 +21,7 @@ from loopshape.toolbox.rig import registry
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.effects import asked
 from loopshape.toolbox.rig.files.study import read_study
+from loopshape.toolbox.rig.settings import Confirm, Motion
 from loopshape.toolbox.rig.simulated import Rig, header, plan
 from loopshape.toolbox.rig.simulated import measure as recordings
 from loopshape.toolbox.rig.steps.course import Course
@@ -32,7 +33,7 @@ from loopshape.toolbox.rig.target.messages import Identity
 from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.verbs.on_target import Clearance, motion_of, record_on_target
 from loopshape.toolbox.rig.verbs.stop import BAUD, stop
-from loopshape.verbs.watch import Confirm, Motion, Unwatched, Watch
+from loopshape.verbs.watch import Unwatched, Watch
 
 
 def measure(

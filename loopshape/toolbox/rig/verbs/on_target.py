@@ -24,7 +24,7 @@ from loopshape.io.run.journal import note
 from loopshape.io.run.run_folder import add_recording, alone, finished, read_run, start_run, whole
 from loopshape.io.run.run_tables import recording_table
 from loopshape.io.write.verdicts import read_verdicts
-from loopshape.toolbox.rig.settings import Limit, TargetSettings
+from loopshape.toolbox.rig.settings import Confirm, Limit, Motion, TargetSettings
 from loopshape.toolbox.rig.simulated import Planned, Rig, experiment, header, plan
 from loopshape.toolbox.rig.steps.course import Course, StoppedAtLimitError
 from loopshape.toolbox.rig.steps.escalation import NOISE_PEAK, NOISE_SHARE
@@ -37,7 +37,7 @@ from loopshape.toolbox.rig.target.session import Session
 from loopshape.toolbox.rig.target.stream_log import adopted, keep_arrived, open_stream_log
 from loopshape.toolbox.rig.target.target import arm, configuration, drive, vented_on_error
 from loopshape.toolbox.rig.verbs.stop import marked
-from loopshape.verbs.watch import Confirm, Motion, Watch
+from loopshape.verbs.watch import Watch
 
 NOISE_TICKS = 100  # of a pulse response: longer ones are drift, not noise
 
