@@ -87,8 +87,9 @@ def json_block(identity: str, data: Mapping[str, Any]) -> Markup:
     return tag("script", Markup(words), type="application/json", id=identity)
 
 
-def packed(values: np.ndarray) -> str:
-    """float64 or complex128, least byte first, as base64."""
+def packed(values: np.ndarray) -> dict[str, str]:
+    """An array of float64, complex128, complex64 or uint8 as base64, least byte first, beside its kind: {"f8": "..."}."""
     whole = np.ascontiguousarray(values)
-    kind = "<c16" if np.iscomplexobj(whole) else "<f8"
-    return b64encode(whole.astype(kind).tobytes()).decode("ascii")
+    kinds = {np.complex128: "c16", np.complex64: "c8", np.uint8: "u1"}
+    kind = kinds.get(whole.dtype.type, "f8")
+    return {kind: b64encode(whole.astype(f"<{kind}").tobytes()).decode("ascii")}

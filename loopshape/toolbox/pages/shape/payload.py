@@ -7,7 +7,6 @@ same seed.
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from importlib.resources import files
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
-from loopshape.core.units import Array, ComplexArray
+from loopshape.core.units import Array
 from loopshape.data.control.block import BLOCK_KINDS, Block
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.limits_over import MASKED
@@ -230,7 +229,7 @@ def _point(name: str, loop: Loop) -> dict[str, Any]:
         "P": packed(loop.plant.siso),
         "raw": packed(raw.siso),
         "variance": packed(recipe.variance),
-        "halves": b64encode(recipe.halves.astype(np.uint8).tobytes()).decode("ascii"),
+        "halves": packed(recipe.halves.astype(np.uint8)),
         "taps": recipe.taps.tolist(),
         "terms": _terms(recipe),
         "integrators": loop.integrators,
@@ -331,16 +330,12 @@ def _cluster(loop: Loop, band: ClusterBand) -> dict[str, Any]:
         "delay_s": cluster.delay_s,
         "power": _pair(cluster.window.power[0]),
         "middle_hz": float(cluster.window.middle[0]),
-        "poles": _singles(cluster.pole_hz),
-        "residues": _singles(cluster.residue),
-        "polynomials": _singles(cluster.polynomial),
+        "poles": packed(cluster.pole_hz.astype(np.complex64)),
+        "residues": packed(cluster.residue.astype(np.complex64)),
+        "polynomials": packed(cluster.polynomial.astype(np.complex64)),
         "ways": len(cluster.pole_hz),
         "hidden": packed(cluster.hidden),
     }
-
-
-def _singles(values: ComplexArray) -> str:
-    return b64encode(values.astype("<c8").tobytes()).decode("ascii")
 
 
 def _fit(fit: Fit | None) -> dict[str, Any] | None:

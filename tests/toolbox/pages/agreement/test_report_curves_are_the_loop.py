@@ -39,9 +39,9 @@ def test_relative_half_widths_are_those_of_propagated_covariances(loop_and_trace
 def test_embedded_arrays_are_the_loop(loop_and_trace) -> None:
     loop, trace = loop_and_trace
     held = embedded([trace])[0]
-    plant, controller = (np.frombuffer(b64decode(held[name]), "<c16") for name in "PC")
+    plant, controller = (np.frombuffer(b64decode(held[name]["c16"]), "<c16") for name in "PC")
     np.testing.assert_allclose(plant * controller, loop.L, rtol=1e-12)
-    np.testing.assert_array_equal(np.frombuffer(b64decode(held["f"]), "<f8"), loop.frequency_hz)
+    np.testing.assert_array_equal(np.frombuffer(b64decode(held["f"]["f8"]), "<f8"), loop.frequency_hz)
 
 
 @pytest.mark.long

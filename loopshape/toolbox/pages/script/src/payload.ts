@@ -1,6 +1,6 @@
 // What Python puts into the page: the measured plants, what their draws are made from, and all constants by name.
 
-import { complexOf, halvesOf, realOf, singlesOf, type Complex, type Real } from "./numbers/arrays";
+import { unpacked, type Complex, type Real } from "./numbers/arrays";
 import type { Controller } from "./numbers/controller";
 import type { AtPoints, Mask, OperatingPoint } from "./loop/limits";
 import type { Disturbance } from "./numbers/disturbed";
@@ -93,37 +93,6 @@ export interface StepConstants {
 }
 
 export type Requirements = Record<string, unknown> & { loop: string; masks?: Mask[]; at?: AtPoints[] };
-
-interface RawPoint {
-  name: string;
-  operating_point: OperatingPoint;
-  f: string;
-  P: string;
-  raw: string;
-  variance: string;
-  halves: string;
-  taps: number[];
-  terms: { residue: [number, number]; pole: [number, number]; first: number; influence: string }[];
-  integrators: number | null;
-  unstable_poles: number | null;
-  fitted_f: string;
-  fitted: string;
-  fitted_poles: [number, number][];
-  below_f: string;
-  below: string[];
-  extrapolated: { P: string; slopes: string; influence: string; lines: number }[];
-  simple: boolean;
-  order: [number, number, number];
-  gaps: Gap[];
-  above_band: { f: string; P: string; half_width: string; known: boolean[] } | null;
-  clusters: (Omit<ModeCluster, "poles" | "residues" | "polynomials" | "hidden"> & Record<"poles" | "residues" | "polynomials" | "hidden", string>)[];
-  scattered: number[];
-  interpolation_residual: string | null;
-  resonances: Seen[];
-  fit: FitModel | null;
-  hidden: Hidden[];
-  disturbed: (Record<Exclude<keyof Disturbance, "rms">, string> & { rms: number }) | null;
-}
 
 /** A model fitted to an operating point, num(s)/den(s) exp(-s delay) in descending powers, and how well it does. */
 export interface FitModel {
@@ -233,12 +202,12 @@ export interface Certificate {
   outcome: string;
 }
 
-interface RawLoop {
+export interface PlantLoop {
   name: string;
   rate_hz: number;
   requirements: Requirements;
   controller: Controller;
-  points: RawPoint[];
+  points: Point[];
   /** Controllers of the plant's other loops, closed while this one is shaped. */
   closed: Controller[];
   certificate: Certificate | null;
@@ -247,11 +216,7 @@ interface RawLoop {
   weighted: boolean;
 }
 
-export interface PlantLoop extends Omit<RawLoop, "points"> {
-  points: Point[];
-}
-
-export interface Raw {
+export interface Payload {
   format: string;
   version: string;
   title: string;
@@ -261,61 +226,15 @@ export interface Raw {
   blocks: Record<string, string[]>;
   constants: Constants;
   random: { smoothing: State; between: State };
-  loops: RawLoop[];
+  loops: PlantLoop[];
   served: boolean;
   /** What tells the content of the server's file from any other, as it was when this page was loaded or saved it. */
   saved: string;
 }
 
-export interface Payload extends Omit<Raw, "loops"> {
-  loops: PlantLoop[];
+/** The same as it stands in the page. */
+export interface Raw {
+  loops: { points: unknown[] }[];
 }
 
-const known = new Map<string, Real>();
-
-/** Frequencies that several operating points have in common, once. */
-function shared(text: string): Real {
-  const found = known.get(text) ?? realOf(text);
-  known.set(text, found);
-  return found;
-}
-
-function pointOf(raw: RawPoint): Point {
-  const complex = complexOf;
-  return {
-    ...raw,
-    f: shared(raw.f),
-    P: complex(raw.P),
-    raw: complex(raw.raw),
-    variance: realOf(raw.variance),
-    halves: halvesOf(raw.halves),
-    terms: raw.terms.map((x) => ({ ...x, influence: complex(x.influence) })),
-    below_f: realOf(raw.below_f),
-    below: raw.below.map(complex),
-    fitted_f: realOf(raw.fitted_f),
-    fitted: complex(raw.fitted),
-    extrapolated: raw.extrapolated.map((x) => ({
-      P: complex(x.P),
-      slopes: complex(x.slopes),
-      influence: realOf(x.influence),
-      lines: x.lines,
-    })),
-    above_band: raw.above_band && { f: realOf(raw.above_band.f), P: complex(raw.above_band.P), half_width: realOf(raw.above_band.half_width), known: raw.above_band.known },
-    clusters: raw.clusters.map((x) => ({
-      ...x,
-      poles: singlesOf(x.poles),
-      residues: singlesOf(x.residues),
-      polynomials: singlesOf(x.polynomials),
-      hidden: realOf(x.hidden),
-    })),
-    disturbed: raw.disturbed && {
-      f: realOf(raw.disturbed.f), power: realOf(raw.disturbed.power), P: complex(raw.disturbed.P), C0: complex(raw.disturbed.C0),
-      bias: realOf(raw.disturbed.bias), rms: raw.disturbed.rms,
-    },
-    interpolation_residual: raw.interpolation_residual === null ? null : realOf(raw.interpolation_residual),
-  };
-}
-
-export function payloadOf(raw: Raw): Payload {
-  return { ...raw, loops: raw.loops.map((loop) => ({ ...loop, points: loop.points.map(pointOf) })) };
-}
+export const payloadOf = (raw: Raw): Payload => unpacked(raw) as Payload;

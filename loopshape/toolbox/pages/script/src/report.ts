@@ -2,6 +2,7 @@
 
 import { Board, type Loop } from "./board";
 import { el } from "./dom";
+import { unpacked } from "./numbers/arrays";
 import type { Requirements } from "./payload";
 import { pointOf, type RawReport } from "./draw/reported";
 
@@ -65,7 +66,7 @@ function start(): void {
   window.addEventListener("error", () => (root.dataset.errors = String(++errors)));
   root.dataset.errors = "0";
   root.classList.add("js");
-  const loops = loopsOf(JSON.parse(document.getElementById("report-data")!.textContent!));
+  const loops = loopsOf(unpacked(JSON.parse(document.getElementById("report-data")!.textContent!)) as RawReport);
   const boards = [...document.querySelectorAll<HTMLElement>(".plots")].map((box, k) => new Board(box, loops[k]));
   const draw = (): void => boards.forEach((board) => board.drawNow());
   document.querySelectorAll<HTMLTableElement>("table.sortable").forEach(sortable);

@@ -1,6 +1,6 @@
 // What Python puts into a report: curves of operating points, their 95 % half widths, and where requirements are worst.
 
-import { complexOf, db, realOf, times, type Real } from "../numbers/arrays";
+import { db, times, type Real } from "../numbers/arrays";
 import type { Limit, Requirements } from "../payload";
 import type { Curve } from "./plot";
 import { nicholsCurve, nicholsPlaces, responseOf, sizeDb, type Response, type Trace } from "./views";
@@ -37,25 +37,9 @@ export interface RawReport {
   loops: { points: RawPoint[]; requirements: Requirements | null; rings: Ring[] }[];
 }
 
-interface RawPoint {
-  name: string;
-  label: string;
-  f: string;
-  P: string;
-  C: string;
-  phase: { P: string; L: string };
-  half_width: Record<Banded, string>;
-  dots: { f: string; size: string; phase: string };
-}
+type RawPoint = Omit<Point, "L">;
 
-const each = <K extends string>(texts: Record<K, string>): Record<K, Real> =>
-  Object.fromEntries(Object.entries<string>(texts).map(([name, text]) => [name, realOf(text)])) as Record<K, Real>;
-
-export function pointOf(raw: RawPoint): Point {
-  const [P, C] = [complexOf(raw.P), complexOf(raw.C)];
-  const L = C.re.length ? times(P, C) : C;
-  return { ...raw, f: realOf(raw.f), P, C, L, phase: each(raw.phase), half_width: each(raw.half_width), dots: each(raw.dots) };
-}
+export const pointOf = (raw: RawPoint): Point => ({ ...raw, L: raw.C.re.length ? times(raw.P, raw.C) : raw.C });
 
 /** What a plot shows of one operating point: a place for each line, the curve, ends of its band, and words for a line. */
 export interface View {

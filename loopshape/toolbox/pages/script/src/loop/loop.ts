@@ -1,7 +1,7 @@
 // One operating point under one controller: the lines that margins are read from (Python: loop/between.py, low_end.py,
 // and the first half of loop/margins.py).
 
-import { concat, joined, magnitudes, placeIn, rint, times, union, type Complex, type Real } from "../numbers/arrays";
+import { concat, joined, magnitudes, placeIn, rint, steepness, times, union, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import type { Controller } from "../numbers/controller";
 import { densified, Drawn, knownPlant, withBetween, type Dense, type Draws, type Source } from "../numbers/dense";
@@ -175,12 +175,7 @@ export const belowLines = once(({ point, controller }: Loop): Complex[] => {
 export const slopeOf = once(({ point, f, C }: Loop): number => {
   const size = magnitudes(times(C, point.raw));
   const count = Math.min(Math.max(4, placeIn(f, 1.6 * f[0])), f.length);
-  if (count < 2) return 0;
-  const x = Array.from(f.subarray(0, count), Math.log);
-  const y = Array.from(size.subarray(0, count), Math.log);
-  const [mx, my] = [x, y].map((values) => values.reduce((a, b) => a + b, 0) / count);
-  const spread = x.reduce((sum, value) => sum + (value - mx) ** 2, 0);
-  return -x.reduce((sum, value, k) => sum + (value - mx) * (y[k] - my), 0) / spread;
+  return count < 2 ? 0 : -steepness(f.subarray(0, count), size.subarray(0, count));
 });
 
 /** Whether L starts so large that nothing below its first line comes near -1 (`is_large`). */

@@ -1,6 +1,6 @@
 // A plant whose resonances have moved, all or one, and what margins and count read from it (Python: loop/shifted.py).
 
-import { clip, concat, placeIn, times, type Complex, type Real } from "../numbers/arrays";
+import { clip, concat, placeIn, plus, times, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import { addPole, Drawn, type Dense, type Draws } from "../numbers/dense";
 import { interpolated, inSight, largestAbove, type Loop, type Plant } from "./loop";
@@ -65,13 +65,11 @@ export class Shiftable {
     const { f, P, belowF, belowP } = this.lines;
     return new Moved(this, (percent) => ({
       by: 1,
-      P: sum(P, change(one, f, 0.01 * percent)),
-      belowP: belowP && sum(belowP, change(one, belowF, 0.01 * percent)),
+      P: plus(P, change(one, f, 0.01 * percent)),
+      belowP: belowP && plus(belowP, change(one, belowF, 0.01 * percent)),
     }));
   }
 }
-
-const sum = (a: Complex, b: Complex): Complex => ({ re: a.re.map((x, k) => x + b.re[k]), im: a.im.map((x, k) => x + b.im[k]) });
 
 /** What a relative shift of a resonance adds to P: mode shape and mass are kept, so R of R/(s² + 2 zeta w s + w²). */
 function change({ pole, residue }: Seen, f: Real, shift: number): Complex {

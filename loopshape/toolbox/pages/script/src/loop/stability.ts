@@ -1,7 +1,7 @@
 // Nyquist's count with the contour closed, and what keeps the lines from carrying it (Python: loop/stability.py,
 // obstacles.py, holes.py). What cannot be proved here is undecided.
 
-import { clip, concat, deg, joined, magnitudes, placeIn, rint, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
+import { clip, concat, deg, joined, magnitudes, placeIn, rint, steepness, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
 import { belowLines, chordsOf, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
@@ -210,16 +210,6 @@ function riseAbove({ point, f, L, C, controller }: Loop): number {
   const largest = Math.max(...magnitudes(control.responseOn(controller, aboveF)).map((c, k) => size[end] * (aboveF[k] / lines[end]) ** slope * c));
   const [last] = magnitudes(control.responseOn(controller, lines.subarray(end)));
   return largest > size[end] * last ? largest : 0;
-}
-
-/** d ln size/d ln f by least squares. */
-function steepness(f: Real, size: Real): number {
-  const x = f.map(Math.log);
-  const y = size.map((value) => Math.log(Math.max(value, 1e-300)));
-  const [mx, my] = [x, y].map((values) => values.reduce((sum, value) => sum + value, 0) / f.length);
-  let [up, down] = [0, 0];
-  for (let k = 0; k < f.length; k++) [up, down] = [up + (x[k] - mx) * (y[k] - my), down + (x[k] - mx) ** 2];
-  return up / down;
 }
 
 function risesAbove(loop: Loop): Undecided | null {

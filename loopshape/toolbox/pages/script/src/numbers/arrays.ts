@@ -24,6 +24,8 @@ export function times(a: Complex, b: Complex): Complex {
   return out;
 }
 
+export const plus = (a: Complex, b: Complex): Complex => ({ re: a.re.map((x, k) => x + b.re[k]), im: a.im.map((x, k) => x + b.im[k]) });
+
 export function joined(...parts: Complex[]): Complex {
   return { re: concat(...parts.map((p) => p.re)), im: concat(...parts.map((p) => p.im)) };
 }
@@ -89,6 +91,16 @@ export function magnitudes({ re, im }: Complex): Real {
   return out;
 }
 
+/** d ln size/d ln f by least squares. */
+export function steepness(f: Real, size: Real): number {
+  const x = f.map(Math.log);
+  const y = size.map((value) => Math.log(Math.max(value, 1e-300)));
+  const [mx, my] = [x, y].map((values) => values.reduce((sum, value) => sum + value, 0) / f.length);
+  let [up, down] = [0, 0];
+  for (let k = 0; k < f.length; k++) [up, down] = [up + (x[k] - mx) * (y[k] - my), down + (x[k] - mx) ** 2];
+  return up / down;
+}
+
 function bytes(text: string): ArrayBuffer {
   const binary = atob(text);
   const out = new Uint8Array(binary.length);
@@ -96,12 +108,21 @@ function bytes(text: string): ArrayBuffer {
   return out.buffer;
 }
 
-export const realOf = (text: string): Real => new Float64Array(bytes(text));
-export const halvesOf = (text: string): Uint8Array => new Uint8Array(bytes(text));
-
-export const complexOf = (text: string): Complex => parted(realOf(text));
-/** Of numbers in single precision. */
-export const singlesOf = (text: string): Complex => parted(new Float32Array(bytes(text)));
+/** What Python wrote, with its arrays: each is an object with its kind and base64, equal real ones are one. */
+export function unpacked(given: unknown, known = new Map<string, Real>()): unknown {
+  if (typeof given !== "object" || given === null) return given;
+  if (Array.isArray(given)) return given.map((one) => unpacked(one, known));
+  const { f8, c16, c8, u1 } = given as Record<string, string | undefined>;
+  if (f8 !== undefined) {
+    const made = known.get(f8) ?? new Float64Array(bytes(f8));
+    known.set(f8, made);
+    return made;
+  }
+  if (c16 !== undefined) return parted(new Float64Array(bytes(c16)));
+  if (c8 !== undefined) return parted(new Float32Array(bytes(c8)));
+  if (u1 !== undefined) return new Uint8Array(bytes(u1));
+  return Object.fromEntries(Object.entries(given).map(([name, value]) => [name, unpacked(value, known)]));
+}
 
 function parted(both: ArrayLike<number>): Complex {
   const out = zeros(both.length / 2);

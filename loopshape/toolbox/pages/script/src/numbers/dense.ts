@@ -1,6 +1,6 @@
 // A smoothed plant with draws of its error, on its lines and on places between them (Python: data/smoothed.py).
 
-import { clip, concat, placeIn, times, union, zeros, type Complex, type Real } from "./arrays";
+import { clip, concat, placeIn, plus, times, union, zeros, type Complex, type Real } from "./arrays";
 import type { Constants, Point } from "../payload";
 import { Normals, type State } from "./random";
 import { slopes, valueAt } from "./spline";
@@ -177,10 +177,6 @@ export function knownPlant(point: Point, source: Source, drawn: boolean): Dense 
   const moved = lines && termMoves(point, at, lines.errors);
   const draws = moved && (dense.draws as Draws).map((one, k) => one.plus(moved[k]));
   return { f: at, P: plus(dense.P, more), reference: plus(dense.reference, more), draws };
-}
-
-function plus(a: Complex, b: Complex): Complex {
-  return { re: a.re.map((x, k) => x + b.re[k]), im: a.im.map((x, k) => x + b.im[k]) };
 }
 
 function minus(a: Complex, b: Complex): Complex {
