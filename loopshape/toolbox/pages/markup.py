@@ -88,7 +88,7 @@ def json_block(identity: str, data: Mapping[str, Any]) -> Markup:
 
 
 def packed(values: np.ndarray) -> dict[str, str]:
-    """An array of float64, complex128, complex64 or uint8 as base64, least byte first, beside its kind: {"f8": "..."}."""
+    """An array of float64, complex128, complex64 or uint8 as base64, least byte first, with its kind: {"f8": "..."}."""
     whole = np.ascontiguousarray(values)
     kinds = {np.complex128: "c16", np.complex64: "c8", np.uint8: "u1"}
     kind = kinds.get(whole.dtype.type, "f8")

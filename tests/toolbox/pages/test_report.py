@@ -473,7 +473,9 @@ def sizes_of(whole: str, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     """Frequencies, plant and open loop of an operating point, from the page's data."""
     points = json.loads(Page(whole).scripts[0][1])["loops"][0]["points"]
     found = next(one for one in points if one["name"] == name)
-    f, P, C = (np.frombuffer(b64decode(found[k][kind[1:]]), kind) for k, kind in (("f", "<f8"), ("P", "<c16"), ("C", "<c16")))
+    f, P, C = (
+        np.frombuffer(b64decode(found[k][kind[1:]]), kind) for k, kind in (("f", "<f8"), ("P", "<c16"), ("C", "<c16"))
+    )
     return f, P, C * P
 
 
