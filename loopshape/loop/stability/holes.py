@@ -25,6 +25,8 @@ TURN = 0.25
 FAR = 0.1
 #: a gap so many times as wide as the median of this many on either side is a hole, in Hz and in ratio
 WIDER, BESIDE = 3.0, 5
+#: lines are sparse where those about a gap lie so far apart in the median, in ratio; an even grid's first ones do not
+SPARSE = 1.3
 #: where lines are missing, or too uncertain, a resonance with so much damping must not be able to encircle -1 unseen
 LEAST_DAMPING, POOR_DAMPING = 0.002, 0.005
 
@@ -76,14 +78,15 @@ def _gaps(lines: FRF, beyond: FRF | None, unstable: bool) -> tuple[Gap, ...]:
 
 
 def _missing(f: Array) -> np.ndarray:
-    """Gaps (nf - 1,) much wider than those about them, both in Hz and in ratio."""
+    """Gaps (nf - 1,) much wider than those about them, both in Hz and in ratio, and all where lines are `SPARSE`."""
     wide = np.ones(f.size - 1, dtype=bool)
     for gap in (np.diff(f), np.diff(np.log(f))):
         padded = np.pad(gap, BESIDE, constant_values=np.nan)
         about = np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1).copy()
         about[:, BESIDE] = np.nan
-        wide &= gap > WIDER * np.nanmedian(about, axis=1)
-    return wide
+        usual = np.nanmedian(about, axis=1)
+        wide &= gap > WIDER * usual
+    return np.asarray(wide | (usual > np.log(SPARSE)))
 
 
 def median_of_five(values: Array) -> Array:
@@ -113,6 +116,9 @@ def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     if first.missing and last == hides[0]:
         words = f"no frequency lies between {low:.4g} and {high:.4g} Hz"
         return f"{words}, and a resonance there might encircle -1 without a trace: measure there", (low, high)
+    if first.missing:
+        words = f"the lines between {low:.4g} and {high:.4g} Hz lie too far apart to show a resonance that encircles -1"
+        return f"{words}: measure finer there", (low, high)
     words = f"the lines between {low:.4g} and {high:.4g} Hz are too uncertain to show whether L encircles -1 there"
     return f"{words}: measure longer or excite more", (low, high)
 
@@ -124,9 +130,6 @@ def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     margin read across it would be a guess. The delay of the controller's computation is known, and lines that it turns
     through more than a quarter of a cycle from one to the next cannot follow it.
     """
-    unseen = _unseen(loop)
-    if unseen is not None:
-        return unseen
     f, L = loop.frequency_hz, loop.L
     if f.size < FEWEST:
         words = f"{f.size} frequencies are too few to show what lies between them ({FEWEST} at least)"
@@ -136,6 +139,9 @@ def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     if wide.size:
         low, high = float(f[wide[0]]), float(f[wide[0] + 1])
         return f"no frequency lies between {low:.3g} and {high:.3g} Hz, where L may pass -1: measure there", (low, high)
+    unseen = _unseen(loop)
+    if unseen is not None:
+        return unseen
     turned = np.flatnonzero((loop.controller.computation_delay_s * np.diff(f) > TURN) & near)
     if turned.size:
         low, high = float(f[turned[0]]), float(f[turned[-1] + 1])

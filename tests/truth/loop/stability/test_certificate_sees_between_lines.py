@@ -8,6 +8,7 @@ from bench_nouns import Block, TransferFunction
 from conversions import TWO_PI
 from drawn_loops import LINES, PLANTS, by_roots, errors, frf_of, loop_of, real, unseen_damping, with_mode
 
+import loopshape as ls
 from loopshape.loop.margin.between import path_of, without_narrow
 from loopshape.loop.stability.obstacles import obstacles, sampling
 from loopshape.loop.stability.sampling import between_lines
@@ -260,3 +261,22 @@ def test_a_curve_between_lines_is_followed_where_its_chord_takes_the_other_side(
     path = path_of(loop)
     assert count_unstable(path.L, 1, 0, none) == 2
     assert next(obstacles(loop, path, sampling(loop, path), 1e3), None) is None
+
+
+def test_lines_far_apart_in_ratio_do_not_show_what_lies_between():
+    """Half an octave from line to line: two sharp modes destabilise a loop that was called stable."""
+    lines, crossing_hz = np.geomspace(3.0, 450.0, 17), 14.1
+    num, den = np.ones(1), np.polymul([1.0 / (TWO_PI * 0.636), 1.0], [1.0 / (TWO_PI * 78.5), 1.0])
+    for pole_hz, zero_hz, damping in ((25.73, 32.18, 0.0095), (16.41, 21.97, 0.0183)):
+        num, den = (
+            np.polymul(x, [(TWO_PI * at) ** -2, 2.0 * damping / (TWO_PI * at), 1.0])
+            for x, at in ((num, zero_hz), (den, pole_hz))
+        )
+    P = TransferFunction(num, den)
+    gain = float(1.0 / abs(P.response(np.array([crossing_hz]))[0]))
+    assert np.any(np.roots(np.polyadd(gain * num, den)).real > 0.0)
+    rng = np.random.default_rng(0)
+    noise = 1.0 + 0.003 * (rng.standard_normal(lines.size) + 1j * rng.standard_normal(lines.size))
+    frf = ls.FRF.from_arrays(lines, P.response(lines) * noise, relative_std=0.0042, rate_hz=1e4)
+    margins = ls.check(frf, ls.controller(ls.gain(gain), rate_hz=1e4), ls.Requirements(unstable_poles=0)).margins
+    assert margins["frf 1"].stable == "undecided", margins["frf 1"].stability_reason
