@@ -19,11 +19,11 @@ from verdict_cases import checked, line, margins
 
 import loopshape as ls
 from loopshape.core.interrupts import interrupts
-from loopshape.toolbox.rig.files import measuring
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.settings import spoken
 from loopshape.toolbox.rig.target.blocks import Block as Computed
 from loopshape.toolbox.rig.target.blocks import own_radius
+from loopshape.toolbox.rig.verbs.stop import MARK
 
 EXPERIMENTS = (
     experiment("small", period_s=0.25),
@@ -258,7 +258,7 @@ def test_whatever_ends_the_host_the_machine_is_vented(tmp_path, how):
             assert VENT in told(running)
             assert "stopped and vented" in error
             assert "Traceback" not in error
-            assert not (run / measuring.MARK).exists()
+            assert not (run / MARK).exists()
         assert finished(run) == {"short"}
         assert ls.read(run).recording("short").info.ended_early is None
         if how == "SIGKILL":
@@ -374,7 +374,7 @@ def test_while_one_measures_another_is_refused_and_disturbs_nothing(tmp_path):
         until(lambda: finished(run) == {"short"}, process=process)
         with pytest.raises(ls.errors.WrongUseError, match="another process is writing this run"):
             measured(study, run, running.port)
-        assert (run / measuring.MARK).exists()
+        assert (run / MARK).exists()
         assert command("stop", run)[0] == 0
         process.communicate(timeout=10)
         assert process.returncode == 130
