@@ -136,27 +136,35 @@ def common_poles(elements: Sequence[FRF], variance: Array) -> tuple[CommonPole, 
     """Narrow resonances of a matrix's elements, those at one place as one; `variance` (nf, m) is the elements'.
 
     The place is the mean of the elements' that show it, weighted by how well they tell it; with it each element gives
-    its residue.
+    its residue, one that shows another pole beside it none.
     """
     shown = [(k, term) for k, one in enumerate(elements) for term in pole_terms(one, variance[:, k])]
     shown.sort(key=lambda x: x[1].resonance.pole_std_hz)
     groups: list[list[tuple[int, PoleTerm]]] = []
     for k, term in shown:
-        near = next((g for g in groups if _near(g[0][1].resonance, term.resonance)), None)
+        near = next((g for g in groups if _near(g[0][1].resonance, term.resonance, 1.0 / 3.0)), None)
         if near is None:
             groups.append([(k, term)])
         elif k not in [other for other, _ in near]:
             near.append((k, term))
-    return tuple(_common(group, elements, variance) for group in groups)
+    found = []
+    for group in groups:
+        beside = (x for x in groups if x is not group and _near(x[0][1].resonance, group[0][1].resonance, 1.0))
+        others = {k for x in beside for k, _ in x} - {k for k, _ in group}
+        found.append(_common(group, elements, variance, others))
+    return tuple(found)
 
 
-def _near(one: Resonance, other: Resonance) -> bool:
-    widths = max(abs(one.pole_hz.imag), abs(other.pole_hz.imag))
+def _near(one: Resonance, other: Resonance, share: float) -> bool:
+    """Whether two poles lie no farther apart than a share of the wider one's half width, and their spread."""
+    widths = share * max(abs(one.pole_hz.imag), abs(other.pole_hz.imag))
     spread = 3.0 * (one.pole_std_hz + other.pole_std_hz)
     return abs(one.frequency_hz - other.frequency_hz) < widths + spread
 
 
-def _common(group: Sequence[tuple[int, PoleTerm]], elements: Sequence[FRF], variance: Array) -> CommonPole:
+def _common(
+    group: Sequence[tuple[int, PoleTerm]], elements: Sequence[FRF], variance: Array, without: set[int]
+) -> CommonPole:
     f, m = elements[0].frequency_hz, len(elements)
     weight = np.array([1.0 / max(term.resonance.pole_std_hz, 1e-12) ** 2 for _, term in group])
     weight = weight / weight.sum()
@@ -170,6 +178,8 @@ def _common(group: Sequence[tuple[int, PoleTerm]], elements: Sequence[FRF], vari
     basis = np.concatenate([_slopes(f[rows], 1.0, z)[:, :1], x[:, None] ** np.arange(ORDER + 1)], axis=1)
     residue = np.zeros(m, dtype=complex)
     for k, element in enumerate(elements):
+        if k in without:
+            continue
         y = element.siso[rows]
         std = np.sqrt(variance[rows, k] + (FLOOR * np.abs(y)) ** 2 + 1e-300)
         inverse = np.linalg.pinv(basis / std[:, None], rcond=1e-12)[0] / std
