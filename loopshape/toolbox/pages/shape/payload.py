@@ -36,10 +36,11 @@ from loopshape.loop import detuning, shifted
 from loopshape.loop.loop import Loop, known_above, reach_above
 from loopshape.loop.loops import loops_of
 from loopshape.loop.margin import between, margins
-from loopshape.loop.margin.disturbed import carried, of_points
+from loopshape.loop.margin.disturbed import carried, lines_of, of_points
 from loopshape.loop.predict import step_response
 from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
+from loopshape.loop.stability.continued import continued
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models
 from loopshape.loop.stability.mode_clusters import ClusterBand, Residual
 from loopshape.loop.tolerances import TOL
@@ -112,21 +113,25 @@ def resource(name: str) -> str:
 
 def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[str, Any]:
     """All that the page knows, for JSON."""
+    made = [_loop(one) for one in loops]
+    disturbed = all(point["disturbed"] for one in made for point in one["points"])
     return {
         "format": FORMAT,
         "version": version,
         "title": title,
-        "limits": [limit_words(limit) for limit in LIMITS if _is_read(limit)],
-        "unread": {limit.name: limit.label for limit in LIMITS if not _is_read(limit)},
+        "limits": [limit_words(limit) for limit in LIMITS if _is_read(limit, disturbed=disturbed)],
+        "unread": {limit.name: limit.label for limit in LIMITS if not _is_read(limit, disturbed=disturbed)},
         "blocks": {name: list(kind.parameters) for name, kind in BLOCK_KINDS.items()},
         "constants": _constants(),
         "random": {"smoothing": _state(smoothing.SEED), "between": _state(dense.SEED)},
-        "loops": [_loop(one) for one in loops],
+        "loops": made,
     }
 
 
-def _is_read(limit: Limit) -> bool:
-    """Whether the page reads a limit: it knows no disturbance, no weights, and no column that came later."""
+def _is_read(limit: Limit, *, disturbed: bool) -> bool:
+    """Whether the page reads a limit: none of weights and of saturation, no column that came later."""
+    if limit.disturbed:
+        return disturbed and limit.name != "saturation_percent"
     return margins.COLUMN_OF.get(limit.name, _COLUMNS) < _COLUMNS or limit.name in _WITHOUT_COLUMN
 
 
@@ -159,6 +164,11 @@ def _constants() -> dict[str, Any]:
             **_numbers(shifted, "matters near"),
         },
         "step_response": _numbers(step_response, "small flat longest"),
+        "record": {
+            "parts": TOL.record_parts, "surrogates": TOL.record_surrogates, "bursts": TOL.bursts,
+            "unlike": TOL.unlike_noise, "largest": TOL.largest_parts, "alone": TOL.event_alone,
+            "normal_95": TOL.normal_95, "random": _state(0),
+        },
     }  # fmt: skip
 
 
@@ -350,12 +360,29 @@ def _disturbed(loop: Loop, disturbance: Disturbance | None) -> dict[str, Any] | 
     """What disturbed a loop, with plant and old controller on its lines; None of a profile and of too many lines."""
     if disturbance is None or disturbance.repeats or disturbance.power.size > MOST_LINES:
         return None
-    known = carried(loop, disturbance)
-    C0 = disturbance.recorded_under.response(known.f) if disturbance.recorded_under else np.zeros(known.f.size, complex)
-    values = {"f": known.f, "power": np.abs(known.before) ** 2, "P": known.there.response, "C0": C0}
-    return {k: packed(x) for k, x in values.items()} | {
-        "bias": packed(known.there.bias(known.covariance[:, 0, 0].real)), "rms": disturbance.rms,
+    known, rate_hz, old = carried(loop, disturbance), loop.controller.rate_hz, disturbance.recorded_under
+    values = {
+        "f": known.f, "power": np.abs(known.before) ** 2, "scatter": lines_of(disturbance, rate_hz)[2],
+        "P": known.there.response, "own_hz": loop.measured.frequency_hz, "variance": known.covariance[:, 0, 0].real,
     }  # fmt: skip
+    samples = disturbance.duration_s * rate_hz
+    return {k: packed(x) for k, x in values.items()} | {
+        "recorded_under": None if old is None else controller_words(old), "last": _pair(loop.measured.siso[-1]),
+        "overlap": known.overlap, "rms": disturbance.rms, "samples": samples if samples > 0.0 else None,
+        "record": _record(loop, disturbance),
+    }  # fmt: skip
+
+
+def _record(loop: Loop, disturbance: Disturbance) -> dict[str, Any] | None:
+    """The recorded error freed of the old controller, and the plant, on the lines of the record."""
+    n = disturbance.samples.size // 2 * 2
+    if not n:
+        return None
+    f = np.arange(1, n // 2) * loop.controller.rate_hz / n
+    P = continued(loop.measured, f, loop.integrators or 0).response
+    error, old = np.fft.rfft(disturbance.samples[:n])[1 : f.size + 1], disturbance.recorded_under
+    made = error if old is None else error * (1.0 + old.response(f) * P)
+    return {"count": n, "error": packed(made), "P": packed(P) if n < disturbance.samples.size else None}
 
 
 def _pair(value: complex) -> list[float]:

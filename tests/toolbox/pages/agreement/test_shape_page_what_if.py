@@ -1,5 +1,6 @@
 """The page of `shape` tells rms of error and plant input under each design, as `check` finds them."""
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -28,10 +29,16 @@ def context() -> Iterator[Any]:
 
 
 def disturbance(kind: str) -> ls.Disturbance:
-    """A spectrum of the open loop, or a recording of the closed one."""
-    if kind == "spectrum":
-        return ls.Disturbance.from_spectrum([0.0, 1.0, 400.0], [1e-4, 1e-4, 1e-8], loop="x")
+    """A spectrum of the open loop, or a recording of it or of the closed one, with a shock in it."""
+    if kind.startswith("spectrum"):
+        length = {"duration_s": 20.0} if kind == "spectrum of a length" else {}
+        return ls.Disturbance.from_spectrum([0.0, 1.0, 400.0], [1e-4, 1e-4, 1e-8], loop="x", **length)
+    if kind == "odd recording":
+        error = 1e-2 * np.random.default_rng(5).standard_normal(3001)
+        return ls.Disturbance.from_arrays(error - error.mean(), RATE_HZ, loop="x")
     error = np.cumsum(np.random.default_rng(5).standard_normal(4000)) * 1e-3
+    if kind == "shock":
+        error[1500:1540] += 0.5 * np.hanning(40)
     return ls.Disturbance.from_arrays(error - error.mean(), RATE_HZ, recorded_under=OLD, loop="x")
 
 
@@ -82,15 +89,46 @@ def test_a_disturbance_of_several_loops_is_refused(tmp_path: Path) -> None:
         ls.shape(P, each, None, tmp_path / "shape.html", disturbance=disturbance("spectrum"))
 
 
-@pytest.mark.parametrize("name", ["control_rms", "control_peak", "control_rate", "saturation_percent"])
+LIMITED = ls.Requirements(
+    "x", integrators=0, unstable_poles=0, error_rms=0.05, control_rms=0.3, control_peak=1.0, control_rate=300.0
+)
+
+
+@pytest.mark.parametrize("kind", ["spectrum", "spectrum of a length", "recording", "odd recording", "shock"])
+def test_limits_on_error_and_input_are_judged_as_check_judges_them(kind: str, context: Any, tmp_path: Path) -> None:
+    """Values, intervals and outcomes, of designs that pass, are open, fail and are unstable; of plants of two bands."""
+    first, second = shaped_cases.plants("lag")
+    frfs, known = [first, second.between(1.0, 100.0)], disturbance(kind)
+    page = page_in_browser.opened(context, ls.shape(frfs, OLD, LIMITED, tmp_path / "shape.html", disturbance=known))
+    outcomes = set()
+    for C in (*DESIGNS, ls.controller(ls.gain(-2.0), rate_hz=RATE_HZ, loop="x")):
+        verdict = ls.check(frfs, C, LIMITED, disturbance=known)
+        words = "c => loopshape.ask(c).then(v => JSON.stringify(v, (k, x) => x === Infinity ? 1e999 + '' : x))"
+        found = json.loads(page.evaluate(words, controller_words(C)))
+        for m, its in zip(verdict.margins.values(), found["margins"], strict=True):
+            for name in ("error_rms", "control_rms", "control_peak", "control_rate"):
+                mine = [getattr(m, name), *m.intervals.get(name, ())]
+                other = [float(its["values"].get(name, "nan")), *its["intervals"].get(name, ())]
+                assert other == pytest.approx(mine, rel=1e-6, nan_ok=True), name
+        rows = [(row["quantity"], row["outcome"]) for row in found["rows"]]
+        assert rows == [(line.quantity, line.outcome) for line in verdict.lines]
+        assert found["outcome"] == verdict.outcome
+        outcomes |= {outcome for _, outcome in rows}
+    badge = page.locator("#unjudged").is_hidden()
+    page.close()
+    assert badge
+    assert len(outcomes) > 1
+
+
+@pytest.mark.parametrize("name", ["saturation_percent", "control_rms"])
 def test_what_is_required_and_not_judged_is_named_and_keeps_the_verdict_open(
     name: str, context: Any, tmp_path: Path
 ) -> None:
-    """`check` fails the design by a limit that the page does not judge: the page must not say passed."""
+    """`check` fails the design by a limit that the page does not judge, for the actuator saturates: no pass."""
     frfs, known = shaped_cases.plants("lag"), disturbance("recording")
     C = ls.controller(ls.gain(3.0), rate_hz=RATE_HZ, loop="x")
-    more = {"control_range": (-1e-3, 1e-3)} if name == "saturation_percent" else {}
-    R = ls.Requirements("x", integrators=0, unstable_poles=0, phase_margin_deg=1.0, **{name: 1e-9}, **more)
+    more = {"control_range": (-1e-3, 1e-3), name: 1e-9}
+    R = ls.Requirements("x", integrators=0, unstable_poles=0, phase_margin_deg=1.0, **more)
     assert ls.check(frfs, C, R, disturbance=known).outcome == "failed"
     page = page_in_browser.opened(context, ls.shape(frfs, C, R, tmp_path / "shape.html", disturbance=known))
     badge, told = page.locator("#verdict-badge").inner_text(), page.locator("#unjudged").inner_text()

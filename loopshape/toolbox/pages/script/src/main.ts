@@ -514,7 +514,7 @@ class Page implements Guest {
 
   /** What is required and not judged here. */
   private get open(): string[] {
-    return unjudged(this.design.requirements, this.payload.unread, this.loop.weighted);
+    return unjudged(this.design.requirements, this.payload, this.loop.weighted);
   }
 
   /** The verdict, null while it is computed: at best undecided where something required is not judged here. */

@@ -3,7 +3,7 @@
 import { unpacked, type Complex, type Real } from "./numbers/arrays";
 import type { Controller } from "./numbers/controller";
 import type { AtPoints, Mask, OperatingPoint } from "./loop/limits";
-import type { Disturbance } from "./numbers/disturbed";
+import type { Disturbance, RecordConstants } from "./loop/disturbed";
 import type { State } from "./numbers/random";
 
 export interface Limit {
@@ -84,6 +84,7 @@ export interface Constants {
     near: number[];
   };
   step_response: StepConstants;
+  record: RecordConstants;
 }
 
 export interface StepConstants {

@@ -122,7 +122,7 @@ export class RequirementTable {
     const most = (name: string): string => (typeof required[name] === "number" ? ` (at most ${shown(required[name])} required)` : "");
     const where = margins.length > 1 ? ` at ${this.names[k]}` : "";
     if (lost) return `Error rms: without bound${where}, where the loop is unstable.`;
-    return `Error rms ${shown(error)}${most("error_rms")}, plant input rms ${shown(control)}${most("control_rms")}${where}, under what disturbed the loop when it was recorded${unstable.length ? ", if the loop is stable" : ""}; intervals: loopshape check --disturbance.`;
+    return `Error rms ${shown(error)}${most("error_rms")}, plant input rms ${shown(control)}${most("control_rms")}${where}, under what disturbed the loop when it was recorded${unstable.length ? ", if the loop is stable" : ""}; a requirement has its interval.`;
   }
 
   /** `late` is the row as it was known last: while this one is not, its interval is shown. */

@@ -26,12 +26,17 @@ export interface Reader {
   fromHz: number;
   masks: Mask[];
   limits: ReadLimit[];
+  /** Whether an actuator's range is required: what saturates is simulated by `check` alone. */
+  ranged: boolean;
 }
 
 /** A reader for the requirements at one operating point: of all limits. */
-export function readerOf({ control_high_frequency_from_hz: from, masks = [] }: Requirements, limits: ReadLimit[]): Reader {
-  return { fromHz: typeof from === "number" ? from : Infinity, masks, limits };
+export function readerOf({ control_high_frequency_from_hz: from, masks = [], control_range }: Requirements, limits: ReadLimit[]): Reader {
+  return { fromHz: typeof from === "number" ? from : Infinity, masks, limits, ranged: control_range !== undefined };
 }
+
+/** Limits on what disturbs the loop. */
+export const DISTURBED = ["error_rms", "control_rms", "control_peak", "control_rate"];
 
 /** What is required, and what the page shows of any design. */
 export const askedOf = (required: Requirements, limits: ReadLimit[]): ReadLimit[] => limits.filter(({ name }) => typeof required[name] === "number" || SHOWN.includes(name));
@@ -81,9 +86,10 @@ export function requirementsAt({ at = [], ...own }: Requirements, point: Operati
 }
 
 /** Labels of what is required, at some operating point perhaps, and not judged here. */
-export function unjudged({ at = [], ...own }: Requirements, unread: Record<string, string>, weighted: boolean): string[] {
-  const names = Object.keys(unread).filter((name) => (name === "weighted_norm" ? weighted : [own, ...at].some((one) => typeof one[name] === "number")));
-  return names.map((name) => unread[name]);
+export function unjudged({ at = [], ...own }: Requirements, { unread, limits }: { unread: Record<string, string>; limits: ReadLimit[] }, weighted: boolean): string[] {
+  const ranged = own.control_range === undefined ? [] : limits.filter(({ name }) => DISTURBED.includes(name)).map(({ name, label }) => [name, label]);
+  const names = [...Object.entries(unread), ...ranged].filter(([name]) => (name === "weighted_norm" ? weighted : [own, ...at].some((one) => typeof one[name] === "number")));
+  return names.map(([, label]) => label);
 }
 
 /** Masks of a response: first those of all operating points, then those of some alone. */

@@ -2,10 +2,10 @@
 
 import { clip, db, fromDb, geometric, magnitudes, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
-import { rmsUnder, type Rms } from "../numbers/disturbed";
 import type { Detuning } from "./detuning";
+import { disturbedUnder, rmsUnder, type Rms } from "./disturbed";
 import type { ReadLimit } from "../payload";
-import type { Reader } from "./limits";
+import { DISTURBED, type Reader } from "./limits";
 import type { Draws } from "../numbers/dense";
 import { inSight, isLarge, largestAbove, readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
@@ -77,6 +77,7 @@ export function margins(loop: Loop, reader: Reader): Margins {
   boundedAbove(loop, first, made);
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
   values.detuning_percent = NaN;
+  readDisturbed(loop, made, reader, first.draws !== null);
   return {
     ...made,
     missing_hz: loop.point.gaps.filter((gap) => gap.missing).map((gap) => gap.hz),
@@ -88,6 +89,17 @@ export function margins(loop: Loop, reader: Reader): Margins {
 }
 
 type Measured = Pick<Margins, "values" | "intervals" | "bounds" | "at_hz">;
+
+/** Rms, peak and rate where they are asked about; estimates leave out how a record differs from noise. */
+function readDisturbed({ point, controller, plant }: Loop, { values, intervals }: Measured, { limits, ranged }: Reader, whole: boolean): void {
+  const asked = limits.filter(({ name }) => DISTURBED.includes(name));
+  if (!point.disturbed || !asked.length || ranged) return;
+  const found = disturbedUnder(point.disturbed, controller, plant.source.constants.record, asked.map(({ name }) => name), whole);
+  for (const { name } of asked.filter((limit) => limit.name in found)) {
+    values[name] = found[name].value;
+    if (whole) intervals[name] = found[name].interval;
+  }
+}
 
 /** Make a reading a bound: no worse than `value`, at best as it was read, or as `best`. */
 function worst(found: Measured, name: string, value: number, at_hz: number, best = found.bounds[name] ?? found.values[name]): void {

@@ -6,6 +6,7 @@ import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
 import { belowLines, chordsOf, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
 import { aboveHz } from "./margins";
+import { normalBelow } from "../numbers/special";
 import { angleOf, turnAlong } from "./turns";
 
 export interface Stability {
@@ -303,24 +304,6 @@ function chanceOfError(radius: Real, common: Real, nearest: number): number {
     chance += 0.5 * Math.min(rising, tails[k] + tails[k - 1]);
   }
   return Math.min(chance, 1);
-}
-
-/** Normal distribution function of numbers at or below zero: by its series near zero, by a continued fraction beyond. */
-export function normalBelow(x: number): number {
-  if (!(x > -9)) return 0; // below 1e-18
-  const density = Math.exp(-0.5 * x * x) / Math.sqrt(TWO_PI);
-  const size = -x;
-  if (size < 3) {
-    let [term, total] = [size, size];
-    for (let k = 1; k < 100; k++) {
-      term *= (size * size) / (2 * k + 1);
-      total += term;
-    }
-    return 0.5 - density * total;
-  }
-  let fraction = 0;
-  for (let k = 80; k > 0; k--) fraction = k / (size + fraction);
-  return density / (size + fraction);
 }
 
 /** Where a resonance might encircle -1 between lines that are missing or too uncertain to show it (`_unseen`). */

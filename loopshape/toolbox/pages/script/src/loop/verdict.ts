@@ -3,7 +3,7 @@
 import type { Controller } from "../numbers/controller";
 import { Source } from "../numbers/dense";
 import { withDetuning, withResonances, worstReading } from "./detuning";
-import { askedOf, readerOf, requirementsAt, type Reader } from "./limits";
+import { askedOf, DISTURBED, readerOf, requirementsAt, type Reader } from "./limits";
 import { Loop, Plant } from "./loop";
 import { margins, type Interval, type Margins } from "./margins";
 import type { Limit, Payload, PlantLoop, Requirements } from "../payload";
@@ -154,7 +154,14 @@ export class Engine {
   /** One operating point as Python's check reads it: of what is required, or of all quantities. */
   settled(index: number, controller: Controller, requirements: Requirements, all = false): Margins {
     const loop = new Loop(this.drawn[index], controller);
-    return { ...margins(loop, this.readerAt(index, requirements, all)), stability: closedLoopStability(loop), settled: true };
+    const reader = this.readerAt(index, requirements, all);
+    const made = { ...margins(loop, reader), stability: closedLoopStability(loop), settled: true };
+    if (made.stability.outcome !== "unstable" || !loop.point.disturbed) return made;
+    for (const { name } of reader.limits.filter((limit) => DISTURBED.includes(limit.name))) {
+      made.values[name] = Infinity;
+      delete made.intervals[name];
+    }
+    return made;
   }
 
   /** The same with its detuning margin, which takes longest. */

@@ -52,7 +52,8 @@ export class Normals {
     return ((value >> turn) | (value << (64n - turn))) & MASK_64;
   }
 
-  private uniform(): number {
+  /** One number between 0 and 1. */
+  uniform(): number {
     return Number(this.next() >> 11n) / 9007199254740992;
   }
 
