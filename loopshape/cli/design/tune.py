@@ -106,8 +106,7 @@ def report_tuning(tuning: Tuning, output: Output) -> None:
         "" if tuning.rejection_db is None else f", low-frequency disturbances down by {tuning.rejection_db:.3g} dB"
     )
     lowest = f"lowest bandwidth {tuning.bandwidth_hz:.3g} Hz{rejection}{_norm(tuning)}"
-    count = len(tuning.verdict.margins)
-    title = f"Loop {tuning.controller.loop}: {lowest} over {count} FRF{'s' * (count != 1)}"
+    title = f"Loop {tuning.controller.loop}: {lowest} over {(n := len(tuning.verdict.margins))} FRF{'s' * (n != 1)}"
     output.table(title, ["block", "parameters"], rows)
     if tuning.growth:
         report_growth(tuning.growth, output)

@@ -52,9 +52,8 @@ def shape(
         return
     size = write_page(path, loops, run.resolve().name)
     for one in loops:
-        count = len(one.frfs)
-        start = one.verdict.outcome.value
-        output.say(f"loop {one.controller.loop}: {count} FRF{'s' * (count != 1)}, verdict at the start: {start}")
+        many = f"{(n := len(one.frfs))} FRF{'s' * (n != 1)}"
+        output.say(f"loop {one.controller.loop}: {many}, verdict at the start: {one.verdict.outcome.value}")
     output.say(f"page: {path} ({size / 1e6:.1f} MB)")
     output.json({"page": str(path), "bytes": size, "loops": [one.controller.loop for one in loops]})
 

@@ -15,10 +15,9 @@ import { Screen } from "./screen";
 import { scaledTo } from "./design/tune";
 import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
-import { Engine, type Outcome, type Verdict } from "./loop/verdict";
+import { Engine, worstOf, type Outcome, type Verdict } from "./loop/verdict";
 import type { Trace } from "./draw/views";
 import { DETUNED, Pool, STAGES, workHere, type Stage, type Worked } from "./work";
-import { worstOf } from "./loop/worst";
 
 class Page implements Guest {
   private readonly engines: Engine[];

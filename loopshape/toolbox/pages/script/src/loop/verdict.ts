@@ -1,4 +1,5 @@
-// Margins at all operating points -> a row a requirement at its worst point (Python: loop/verdict.py, points.py).
+// Margins at all operating points -> a row a requirement at its worst point, and which point to look at first (Python:
+// loop/verdict.py, points.py).
 
 import type { Controller } from "../numbers/controller";
 import { Source } from "../numbers/dense";
@@ -95,6 +96,27 @@ export function verdictOn(limits: Limit[], asked: Requirements[], found: Margins
   const outcome = outcomes.reduce((a, b) => (SEVERITY[b] < SEVERITY[a] ? b : a), "passed" as Outcome);
   return { rows, margins: found, outcome, unstable: stable.flatMap((word, k) => (word === "stable" ? [] : [k])) };
 }
+
+const CLOSENESS = [
+  "modulus_margin", "sensitivity_peak_db", "disk_margin", "phase_margin_deg", "gain_margin_db",
+  "gain_reduction_margin_db", "delay_margin_s", "complementary_peak_db",
+];
+const RANK = { unstable: 0, undecided: 1, stable: 2 };
+
+/** First what is unstable or undecided, then where the worst row about -1 is missed, else what comes nearest to -1. */
+export function worstOf(found: Verdict): number {
+  const ranks = found.margins.map((m) => (m.stability ? RANK[m.stability.outcome] : 2));
+  const least = Math.min(...ranks);
+  const missed = found.rows.filter((row) => CLOSENESS.includes(row.quantity) && row.outcome !== "passed");
+  if (least === 2 && missed.length) return missed.reduce((a, b) => (orderOf(b) < orderOf(a) ? b : a)).point;
+  const near = found.margins.map((m) => m.intervals.modulus_margin?.[0] ?? m.values.modulus_margin);
+  return near.reduce((best, value, k) => {
+    if (ranks[k] !== least) return best;
+    return best < 0 || value < near[best] ? k : best;
+  }, -1);
+}
+
+const orderOf = (row: Row): number => SEVERITY[row.outcome] * 100 + CLOSENESS.indexOf(row.quantity);
 
 /** All operating points of one loop, ready to be asked about controllers. */
 export class Engine {
