@@ -333,13 +333,13 @@ function unseen({ point, controller, plant }: Loop): Undecided | null {
   const reason =
     gaps[first].missing && last === first
       ? `no frequency lies between ${short(low, 4)} and ${short(high, 4)} Hz, and a resonance there might encircle -1 without a trace: measure there`
-      : `the lines between ${short(low, 4)} and ${short(high, 4)} Hz are too uncertain to show whether L encircles -1 there: measure longer or excite more`;
+      : gaps[first].missing
+        ? `the lines between ${short(low, 4)} and ${short(high, 4)} Hz lie too far apart to show a resonance that encircles -1: measure finer there`
+        : `the lines between ${short(low, 4)} and ${short(high, 4)} Hz are too uncertain to show whether L encircles -1 there: measure longer or excite more`;
   return { reason, band_hz: [low, high] };
 }
 
 function hole(loop: Loop): Undecided | null {
-  const found = unseen(loop);
-  if (found) return found;
   const { f, L, controller } = loop;
   const c = loop.plant.source.constants;
   if (f.length < c.hole_fewest) {
@@ -353,6 +353,8 @@ function hole(loop: Loop): Undecided | null {
       return { reason: words, band_hz: [f[k], f[k + 1]] };
     }
   }
+  const found = unseen(loop);
+  if (found) return found;
   for (let k = 0; k < f.length - 1; k++) {
     const near = Math.max(size[k], size[k + 1]) > c.hole_far && Math.min(size[k], size[k + 1]) < 1 / c.hole_far;
     if (near && controller.computation_delay_s * (f[k + 1] - f[k]) > c.hole_turn) {
