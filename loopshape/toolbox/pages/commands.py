@@ -24,7 +24,7 @@ def shape(
         bool, typer.Option("--matrix", help="One loop at a time with the others closed, on the run's matrices.")
     ] = False,
     disturbance: Annotated[
-        Path | None, typer.Option(help="A recording of the loop without excitation: rms of its error.")
+        Path | None, typer.Option(help="A recording without excitation: judges rms, peak and rate.")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="The page to write; default: shape.html in the run.")] = None,
     serve: Annotated[

@@ -17,7 +17,7 @@ import { stepOf, type Step } from "./numbers/step";
 import { badge, RequirementTable, type Late } from "./table";
 import { Engine, worstOf, type Outcome, type Verdict } from "./loop/verdict";
 import type { Trace } from "./draw/views";
-import { DETUNED, Pool, STAGES, workHere, type Stage, type Worked } from "./work";
+import { DETUNED, Pool, STAGES, workHere, type Worked } from "./work";
 
 class Page implements Guest {
   private readonly engines: Engine[];
@@ -51,7 +51,7 @@ class Page implements Guest {
   private readonly redraw = (): void => this.screen.resized();
   private readonly sizes = new ResizeObserver(this.redraw);
   private readonly dark = matchMedia("(prefers-color-scheme: dark)");
-  /** Milliseconds from a change to its picture, its intervals, its detuning margins: read by tests and by who measures. */
+  /** Milliseconds from a change to its picture, its intervals, its detuning margins, where they are found: read by who measures. */
   readonly timings: Record<"picture" | "intervals" | "detuning", number[]> = { picture: [], intervals: [], detuning: [] };
   private changedAt = 0;
 
@@ -451,17 +451,13 @@ class Page implements Guest {
     const { requirements } = this.design;
     if (!this.settled) this.found = engine.verdict(requirements, engine.estimates(controller, requirements));
     this.worst = worstOf(this.found as Verdict);
-    this.pool.ask({ loop: this.current, controller, requirements });
+    this.pool.ask({ loop: this.current, controller, requirements, at: this.changedAt });
     this.show();
     this.timings.picture.push(performance.now() - this.changedAt);
-    this.intervalsFrom ??= this.changedAt;
-    this.detuningFrom = this.changedAt; // each change begins them anew
     this.changedAt = 0;
     this.tellSoon();
   }
 
-  private intervalsFrom: number | null = null;
-  private detuningFrom: number | null = null;
   private timer = 0;
 
   private tellSoon(): void {
@@ -481,8 +477,8 @@ class Page implements Guest {
 
   private worked(worked: Worked): void {
     if (worked.loop !== this.current) return;
-    this.timed(worked.stage);
-    const { controller, requirements, margins, stage } = worked;
+    const { controller, requirements, margins, stage, at } = worked;
+    if (stage !== "resonances") this.timings[stage].push(performance.now() - at);
     const now = { controller: this.controller, requirements: this.design.requirements };
     const found = this.engines[this.current].verdict(requirements, margins);
     for (const known of STAGES.slice(0, STAGES.indexOf(stage) + 1)) this.late[known] = found;
@@ -495,15 +491,6 @@ class Page implements Guest {
     this.settled = true;
     this.detuned = stage !== "intervals";
     this.show();
-  }
-
-  /** Milliseconds that an answer took, from the first change that it is of. */
-  private timed(stage: Stage): void {
-    if (stage === "resonances") return;
-    const from = stage === "detuning" ? this.detuningFrom : this.intervalsFrom;
-    if (from !== null) this.timings[stage].push(performance.now() - from);
-    if (stage === "detuning") this.detuningFrom = null;
-    else this.intervalsFrom = null;
   }
 
   /** Whether all that the verdict depends on is known. */

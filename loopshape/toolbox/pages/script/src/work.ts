@@ -13,6 +13,8 @@ export interface Asked {
   loop: number;
   controller: Controller;
   requirements: Requirements;
+  /** When the design changed to this one. */
+  at: number;
 }
 
 interface Task extends Asked {
@@ -190,8 +192,7 @@ export class Pool {
     if (one.left) return;
     if (stage !== "intervals") this.open = this.open.filter(({ task }) => task.id >= id); // older ones were overtaken
     if (stage === "intervals") this.busy = false;
-    const { loop, controller, requirements } = open.task;
-    this.done({ loop, controller, requirements, margins: one.margins, stage });
+    this.done({ ...open.task, margins: one.margins, stage });
     if (stage === "intervals") this.send();
   }
 }
