@@ -128,7 +128,7 @@ def payload(loops: Sequence[ShapingSession], title: str, version: str) -> dict[s
     }
 
 
-def _is_read(limit: Limit, *, disturbed: bool) -> bool:
+def _is_read(limit: Limit, *, disturbed: bool = False) -> bool:
     """Whether the page reads a limit: none of weights and of saturation, no column that came later."""
     if limit.disturbed:
         return disturbed and limit.name != "saturation_percent"
