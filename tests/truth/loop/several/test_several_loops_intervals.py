@@ -137,7 +137,7 @@ def test_the_noun_s_responses_are_those_of_the_algebra():
 
 
 def test_two_columns_with_resonances_side_by_side_are_read_between_their_lines():
-    """At 33.9 and 36.7 Hz, nearer than a half width: as one pole the disk margin was 0.33 for 0.20, on lines 9.6 % apart."""
+    """At 33.9 and 36.7 Hz, within a half width: as one pole the disk margin was 0.33 for 0.20, on lines 9.6 % apart."""
     f, grid = np.geomspace(2.0, 450.0, 60), np.geomspace(1.0, 450.0, 100_000)
 
     def column(f_hz, pole_hz, damping, zero_hz, corner_hz):
@@ -147,8 +147,8 @@ def test_two_columns_with_resonances_side_by_side_are_read_between_their_lines()
 
     plants = [(33.92, 0.0618, 39.0, 2.0), (36.65, 0.0873, 29.0, 2.1)]
     gains, truth = (14.0, 6.0), np.inf
-    for gain, plant in zip(gains, plants, strict=True):
-        L = gain * column(grid, *plant)
+    for of_loop, plant in zip(gains, plants, strict=True):
+        L = of_loop * column(grid, *plant)
         truth = min(truth, 2.0 / np.abs((1.0 - L) / (1.0 + L)).max())
     G = np.zeros((f.size, 2, 2), dtype=complex)  # triangular: the disk margin is the lesser of the two loops' own
     for k, plant in enumerate(plants):
