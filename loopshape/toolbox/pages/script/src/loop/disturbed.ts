@@ -257,8 +257,8 @@ function largestOfBlocks(signal: Real, samples: number, { parts, largest: tail, 
   const [threshold, most] = [found[parts - tail - 1], found[parts - 1]];
   const scale = found.subarray(-tail).reduce((a, b) => a + b, 0) / tail - threshold;
   const away = [0.025, 0.5, 0.975].map((level) => scale * Math.log((tail * samples) / signal.length / -Math.log(level)));
-  const reach = away.map((one) => Math.hypot(one - away[1], (normal_95 * away[1]) / Math.sqrt(tail)));
-  const ends = reach.map((one, k) => Math.max(threshold + away[1] + (k - 1) * one, 1e-9 * Math.max(most, 1e-300)));
+  const apart = away.map((one) => Math.hypot(one - away[1], (normal_95 * away[1]) / Math.sqrt(tail)));
+  const ends = apart.map((one, k) => Math.max(threshold + away[1] + (k - 1) * one, 1e-9 * Math.max(most, 1e-300)));
   return most > alone * ends[1] ? ends.map((one) => (one * most) / ends[1]) : ends;
 }
 
