@@ -59,11 +59,26 @@ def compiled_reading(*written: str) -> Callable[[F], F]:
 
 
 def _compile(function: F, written: tuple[str, ...] | None = None, **options: bool) -> F:
+    """Compiled, with the ways in that somebody takes: none for C, none for Python where a kernel's name says so."""
+    within = function.__name__.startswith("_") and function.__module__.startswith(f"{__package__}.")
+    options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": within}  # a tenth of the time
     dispatcher = numba.njit(nogil=True, error_model="numpy", fastmath={"contract"}, **options)(function)
     if dispatcher is not function:
         dispatcher._cache = keep(function) or dispatcher._cache
         _share_forms(dispatcher, written)
+        if within:
+            _refuse_python(dispatcher)
     return cast(F, dispatcher)
+
+
+def _refuse_python(dispatcher: Any) -> None:
+    """A kernel without a way in from Python: a call from there would end the process, and is refused."""
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise TypeError(f"{dispatcher.py_func.__qualname__} is called by kernels alone")
+
+    dispatcher._compile_for_args = refuse
+    dispatcher.add_overload = lambda made: dispatcher.overloads.update({tuple(made.signature.args): made})
 
 
 def _share_forms(dispatcher: Any, written: tuple[str, ...] | None) -> None:

@@ -213,6 +213,23 @@ def test_what_it_reads_may_not_be_written():
             caller(np.zeros(1))
 
 
+def test_a_kernel_for_kernels_alone_refuses_python_before_and_after_it_is_compiled():
+    def _within(x):
+        return 2.0 * x
+
+    _within.__module__ = "loopshape.core.kernels.tried"  # there a name with a line before it says so
+    within = compiled(_within)
+
+    @compiled
+    def caller(x):
+        return within(x)
+
+    for _ in range(2 if not numba.config.DISABLE_JIT else 0):
+        with pytest.raises(TypeError, match="called by kernels alone"):
+            within(4.0)
+        assert caller(4.0) == 8.0
+
+
 def test_a_compilation_is_logged_and_a_kept_form_is_not(tmp_path, caplog):
     (tmp_path / "doubled_kernel.py").write_text("def doubled(x):\n    return 2.0 * x\n")
     spec = importlib.util.spec_from_file_location("doubled_kernel", tmp_path / "doubled_kernel.py")
