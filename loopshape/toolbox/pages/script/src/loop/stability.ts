@@ -330,8 +330,12 @@ function unseen({ point, controller, plant }: Loop): Undecided | null {
     if (k > first && hides[k] && gap.hz[0] <= (gap.missing ? 1 : 2) * gaps[last].hz[1]) last = k;
   });
   const [low, high] = [gaps[first].hz[0], gaps[last].hz[1]];
+  if (gaps[first].missing && last !== first) {
+    const words = `the lines between ${short(low, 4)} and ${short(high, 4)} Hz lie too far apart to show a resonance that encircles -1`;
+    return { reason: `${words}: measure finer there`, band_hz: [low, high] };
+  }
   const reason =
-    gaps[first].missing && last === first
+    gaps[first].missing
       ? `no frequency lies between ${short(low, 4)} and ${short(high, 4)} Hz, and a resonance there might encircle -1 without a trace: measure there`
       : gaps[first].missing
         ? `the lines between ${short(low, 4)} and ${short(high, 4)} Hz lie too far apart to show a resonance that encircles -1: measure finer there`
