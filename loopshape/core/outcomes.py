@@ -63,14 +63,6 @@ class Settling(Graded):
     NOT_SETTLED = "not settled"
 
 
-class Agreement(Graded):
-    """What a measurement says of a prediction."""
-
-    CONFIRMED = "confirmed"
-    CANNOT_TELL = "cannot tell"
-    REFUTED = "refuted"
-
-
 class Change(Graded):
     """What became of something since a baseline."""
 

@@ -185,15 +185,6 @@ def _slopes(of: Callable[[Array], Array], x: Array, least: float) -> Array:
     return np.array(columns).T
 
 
-def fit_best(frf: FRF, structures: Sequence[Structure], **options: Any) -> Fit:
-    """The simplest fit whose Bayesian information criterion (Schwarz 1978) lies within 10 of the least.
-
-    Ten is what Kass and Raftery (1995) ask of very strong evidence; less is what chance finds when a richer
-    structure may put a narrow mode anywhere. Fits that did not converge come last. `options` as in `fit`.
-    """
-    return _simplest(frf, _fitted(frf, structures, **options))
-
-
 def _fitted(
     frf: FRF, structures: Sequence[Structure], known: Sequence[Fit] = (), *, weighting: str = "variance", **options: Any
 ) -> list[Fit]:
@@ -218,6 +209,7 @@ def _criterion(frf: FRF, found: Fit) -> float:
 
 
 def _simplest(frf: FRF, made: Sequence[Fit]) -> Fit:
+    """The simplest within very strong evidence of the best (less is what chance finds); what did not converge last."""
     good = [found for found in made if found.converged] or made
     least = min(_criterion(frf, found) for found in good)
     near = [found for found in good if _criterion(frf, found) <= least + TOL.very_strong]

@@ -387,22 +387,3 @@ def equivalent_plants(name: str, loops: Sequence[Loop]) -> tuple[FRF, ...]:
     """The plant that a loop meets with all others closed, at each operating point."""
     made = (equivalent_plant(m.plant, m.names, name, {own.loop: own for own in m.controllers}) for m in loops)
     return tuple(replace(plant, recorded_under=None) for plant in made)
-
-
-def unstable_poles_met(name: str, loops: Sequence[Loop], required: Requirements) -> int | None:
-    """Unstable poles of the plants that a loop meets with all others closed, None where they are not known.
-
-    Those of all loops closed, by det(I + L), and as many more as L of this loop alone encircles -1. None too where
-    operating points differ.
-    """
-    asked, counts = replace(required, integrators=None, unstable_poles=0), set()
-    for plant, m in zip(equivalent_plants(name, loops), loops, strict=True):
-        (own,) = (one for one in m.controllers if one.loop == name)
-        (loop,), _ = loops_of([plant], own, asked, counted=False)
-        together = determinant.closed_loops_stability(m).unstable_poles
-        alone = None if loop.integrators is None else unstable_count(loop)
-        if together is None or not isinstance(alone, int):
-            return None
-        counts.add(together - alone)
-    found = counts.pop()
-    return found if not counts and found >= 0 else None

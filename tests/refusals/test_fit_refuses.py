@@ -5,7 +5,7 @@ import pytest
 from bench_nouns import Integrator, Rational, ThirdOrder
 
 import loopshape as ls
-from loopshape.identify.fit import fit, fit_best, modes, structure_by_name
+from loopshape.identify.fit import fit, modes, structure_by_name
 
 
 def frf_of(nf=20, valid=True, variance=1e-4, ny=1):
@@ -72,11 +72,6 @@ def test_a_parameter_that_the_structure_does_not_have():
     text = refusal(lambda: fit(frf_of(), Integrator())["zeta"])
     assert "'zeta'" in text
     assert "use one of kappa" in text
-
-
-def test_the_best_of_no_fits_at_all():
-    with pytest.raises((ls.LoopshapeError, ValueError)):
-        fit_best(frf_of(), [])
 
 
 @pytest.mark.parametrize("weighting", ["variance", "relative"])

@@ -1,4 +1,4 @@
-"""A prediction and a measurement under its controller, or two FRFs of a plant -> Comparison."""
+"""S as it was measured; a prediction and a measurement under its controller, or two FRFs of a plant -> Comparison."""
 
 from __future__ import annotations
 
@@ -7,17 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from loopshape.core.errors import WrongUseError
-from loopshape.core.outcomes import Agreement
+from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.units import db
 from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.frf_arrays import valid_lines
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.channel import unit_of
+from loopshape.data.signal.experiment import LoopSetup
+from loopshape.data.signal.recording import Recording
+from loopshape.identify.answers import ordinary_coherence
+from loopshape.identify.frequency_response import source
+from loopshape.identify.respond import respond
+from loopshape.identify.settings import Settings
+from loopshape.identify.signals import loop_signals, wiring_notes
 from loopshape.loop.tolerances import TOL
 from loopshape.toolbox.validation.agreement import noticed_db, on_common_lines, paired, tested
-from loopshape.toolbox.validation.nouns import Comparison, StepComparison
+from loopshape.toolbox.validation.nouns import Agreement, Comparison, StepComparison
 
 
 def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:
@@ -170,3 +177,50 @@ def compare_step(measured: StepComparison, prediction: Prediction) -> StepCompar
     k = int(np.argmax(missed))
     outside = float(np.mean((y < low - noise) | (y > high + noise)))
     return replace(measured, predicted=step, outside=outside, largest_miss=float(missed[k]), miss_at_s=float(t[k]))
+
+
+def estimate_sensitivity(recording: Recording, loop: LoopSetup, settings: Settings | None = None) -> FRF:
+    """S (1 x 1) of the loop that a recording excites: 1 - y/n with n in front of the controller or as the reference,
+    u/n with n at the plant's input, where u is what enters the plant.
+
+    It is what 1/(1 + C P) makes of the P of the same recording, if z is the controller's answer to the error, and it
+    stays well known where that P is not: where C lets little through, z is small and noise hides P but not S. Its
+    error is that of one linear average (-S times the disturbance over n), without a quotient's bias. The channels are
+    the loop's output; the valid band is where S is known to 10 %, as for a plant. Other loops stay closed.
+
+    Raises BadSignalError for a recording in open loop, and as `estimate_frf` does.
+    """
+    info = recording.info
+    if not info.closed_loop or info.injection == "control" or not info.alone:
+        raise BadSignalError(
+            f"recording {info.file} has no sensitivity of loop {loop.name}",
+            "its loop was open" if info.excites == loop.name else f"it excites {', '.join(info.excited) or 'no loop'}",
+            "give a recording that excites this loop alone, closed",
+        )
+    s = loop_signals(recording, loop)
+    every = respond(recording, [s.y, s.u], [s.instrument], 1, settings or Settings())
+    at_input = info.injection == "plant_input"
+    k = 1 if at_input else 0
+    sound = every.excited & np.isfinite(every.response[:, :, 0]).all(axis=1)
+    sound &= np.isfinite(every.covariance).all(axis=(1, 2))
+    if not sound.any():
+        raise BadSignalError(f"no frequency of recording {info.file} is excited", every.method, "excite more")
+    a, f = every.select(sound), every.frequency_hz[sound]
+    S = a.response[:, k, 0] if at_input else 1.0 - a.response[:, 0, 0]
+    variance = a.covariance[:, k, k].real
+    z, std = a.response[:, 1, 0] - (1.0 if at_input else 0.0), np.sqrt(a.covariance[:, 1, 1].real)
+    column = s.output_channel.column
+    return FRF(
+        frequency_hz=f,
+        response=S[:, None, None],
+        covariance=np.asarray(variance[:, None, None], dtype=complex),
+        valid=valid_lines(f, np.sqrt(variance) / np.abs(S), a.excited),
+        inputs=(column,),
+        outputs=(column,),
+        method=f"sensitivity from the injected signal, {a.method}",
+        loop=loop.name,
+        coherence=np.clip(ordinary_coherence(a.power, 0, 2), 0.0, 1.0),
+        recorded_under=loop.controller,
+        notes=tuple(dict.fromkeys((*a.notes, *wiring_notes(recording, loop, f, z, a.response[:, 0, 0], std)))),
+        **source([recording], a),
+    )

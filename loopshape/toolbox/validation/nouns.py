@@ -6,9 +6,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.outcomes import Agreement
+from loopshape.core.outcomes import Graded
 from loopshape.core.units import Array
 from loopshape.data.result.prediction import Indicators, Step
+
+
+class Agreement(Graded):
+    """What a measurement says of a prediction."""
+
+    CONFIRMED = "confirmed"
+    CANNOT_TELL = "cannot tell"
+    REFUTED = "refuted"
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,10 +16,9 @@ from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
-from loopshape.identify.frequency_response import estimate_sensitivity
 from loopshape.identify.settings import Settings
 from loopshape.loop.predict.indicators import END, indicators
-from loopshape.toolbox.validation.comparison import compare, compare_step, sensitivity_of
+from loopshape.toolbox.validation.comparison import compare, compare_step, estimate_sensitivity, sensitivity_of
 from loopshape.toolbox.validation.nouns import Comparison, StepComparison, Tracking
 
 #: a recorded response is smoothed over this share of its rise; bands are wider than what moved over this share before

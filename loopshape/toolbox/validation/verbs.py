@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import overload
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.outcomes import Agreement
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.run import Run
@@ -16,7 +15,7 @@ from loopshape.identify.settings import Settings
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs
 from loopshape.io.write.predictions import read_predictions
 from loopshape.toolbox.validation.comparison import compare_all
-from loopshape.toolbox.validation.nouns import Comparison
+from loopshape.toolbox.validation.nouns import Agreement, Comparison
 from loopshape.toolbox.validation.remeasured import Remeasured, remeasure
 from loopshape.verbs.arguments import plants_of
 from loopshape.verbs.files import read

@@ -10,9 +10,9 @@ from scipy.stats import binom
 import loopshape as ls
 from loopshape.data.algebra import regrid
 from loopshape.data.response.frf_arrays import valid_lines
-from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
+from loopshape.identify.frequency_response import estimate_frf
 from loopshape.toolbox.validation.agreement import combined, on_common_lines, paired
-from loopshape.toolbox.validation.comparison import compare, compare_plants, sensitivity_of
+from loopshape.toolbox.validation.comparison import compare, compare_plants, estimate_sensitivity, sensitivity_of
 from loopshape.toolbox.validation.nouns import Comparison
 
 LINES = 0.1 * np.arange(1, 151)

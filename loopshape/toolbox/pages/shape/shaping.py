@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,9 @@ from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
 from loopshape.loop.loop import Loop
-from loopshape.loop.loops import closed_loops, equivalent_plants, matrix_loops, unstable_poles_met
+from loopshape.loop.loops import closed_loops, equivalent_plants, loops_of, matrix_loops
+from loopshape.loop.matrix import determinant
+from loopshape.loop.stability.stability import unstable_count
 from loopshape.loop.verdict import check
 from loopshape.toolbox.pages.shape.payload import ClosedLoops, ShapingSession, shape_page
 
@@ -74,7 +76,7 @@ class ShapedLoops:
         required = next((one for one in self.requirements if one.loop == own.loop), Requirements(own.loop))
         plants = equivalent_plants(own.loop, loops)
         rest = tuple(one for one in controllers if one is not own)
-        others = ClosedLoops(rest, unstable_poles_met(own.loop, loops, required))
+        others = ClosedLoops(rest, _unstable_poles_met(own.loop, loops, required))
         return ShapingSession(plants, own, required, (), check(plants, own, others.of_plant(required)), others)
 
     def check(self, controllers: Sequence[Controller], requirements: Sequence[Requirements]) -> Verdict:
@@ -84,6 +86,25 @@ class ShapedLoops:
             self.frfs, controllers, requirements, self.fits, together=self.together, closed=closed,
             recorded_under=self.recorded_under, disturbances=self.disturbances,
         )  # fmt: skip
+
+
+def _unstable_poles_met(name: str, loops: Sequence[Loop], required: Requirements) -> int | None:
+    """Unstable poles of the plants that a loop meets with all others closed, None where they are not known.
+
+    Those of all loops closed, by det(I + L), and as many more as L of this loop alone encircles -1. None too where
+    operating points differ.
+    """
+    asked, counts = replace(required, integrators=None, unstable_poles=0), set()
+    for plant, m in zip(equivalent_plants(name, loops), loops, strict=True):
+        (own,) = (one for one in m.controllers if one.loop == name)
+        (loop,), _ = loops_of([plant], own, asked, counted=False)
+        together = determinant.closed_loops_stability(m).unstable_poles
+        alone = None if loop.integrators is None else unstable_count(loop)
+        if together is None or not isinstance(alone, int):
+            return None
+        counts.add(together - alone)
+    found = counts.pop()
+    return found if not counts and found >= 0 else None
 
 
 def _refuse_disturbed(given: object) -> None:

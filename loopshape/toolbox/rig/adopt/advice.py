@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain
-from loopshape.core.outcomes import Agreement, Graded, Outcome
+from loopshape.core.outcomes import Graded, Outcome
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
@@ -20,7 +20,7 @@ from loopshape.identify.disturbance import disturbances_in
 from loopshape.loop.tolerances import TOL
 from loopshape.toolbox.rig.adopt.course import TrialSettings
 from loopshape.toolbox.rig.adopt.forecast import Forecast, forecast, foresee
-from loopshape.toolbox.validation.nouns import Comparison
+from loopshape.toolbox.validation.nouns import Agreement, Comparison
 from loopshape.toolbox.validation.remeasured import remeasure
 
 #: a recipe without a plant: so many lines, S on each to this std, after so many seconds; its band as shares of the rate

@@ -12,20 +12,20 @@ import numpy as np
 
 from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.outcomes import Agreement, Outcome
+from loopshape.core.outcomes import Outcome
 from loopshape.core.units import from_db
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
-from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
+from loopshape.identify.frequency_response import estimate_frf
 from loopshape.toolbox.rig.adopt.blend import blended
 from loopshape.toolbox.rig.adopt.forecast import SHARES, Forecast, Foreseen, forecast, foresee
 from loopshape.toolbox.rig.adopt.watched import Expected, Periods, watch_of
 from loopshape.toolbox.rig.target.trial import Phase, Progress, Watch
-from loopshape.toolbox.validation.comparison import compare
-from loopshape.toolbox.validation.nouns import Comparison
+from loopshape.toolbox.validation.comparison import compare, estimate_sensitivity
+from loopshape.toolbox.validation.nouns import Agreement, Comparison
 
 #: of so many periods more is a share's recording that decides nothing, once
 LONGER = 3.0

@@ -24,7 +24,8 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
-from loopshape.identify.frequency_response import estimate_frf, estimate_sensitivity
+from loopshape.identify.frequency_response import estimate_frf
+from loopshape.toolbox.validation.comparison import estimate_sensitivity
 
 #: one side of a 95 % interval
 SIDE, NORMAL = 0.025, 1.959963984540054

@@ -10,10 +10,9 @@ from plant_behind import plant_behind
 from run_files import read_predictions, write_predictions
 
 import loopshape as ls
-from loopshape.identify.frequency_response import estimate_sensitivity
 from loopshape.loop.predict.prediction import predict
 from loopshape.toolbox.rig.verbs.machine import blocks_of
-from loopshape.toolbox.validation.comparison import compare, sensitivity_of
+from loopshape.toolbox.validation.comparison import compare, estimate_sensitivity, sensitivity_of
 
 GAIN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 
