@@ -69,7 +69,7 @@ def gap_figure(report: GapReport) -> Figure:
 
 def balanced(sentence: str) -> str:
     """The sentence in lines of about equal length."""
-    tried = [fill(sentence, width) for width in range(_LINE // 2, _LINE + 1)]
+    tried = [fill(sentence, width, break_on_hyphens=False) for width in range(_LINE // 2, _LINE + 1)]
     return min(tried, key=lambda text: (text.count("\n"), max(len(line) for line in text.split("\n"))))
 
 
