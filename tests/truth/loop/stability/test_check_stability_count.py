@@ -87,7 +87,9 @@ def random_plant(rng):
 
 
 def random_answers(count, low, high, model):
-    """(integrators, unstable, poles by roots, answer) of loops whose lines start at a share of the lowest corner."""
+    """(integrators, unstable, poles by roots, answer) of loops whose lines start at a share of the lowest corner, and
+    whether |L| passes 1 below them.
+    """
     rng = np.random.default_rng(0)
     for _ in range(count):
         num, den, lowest = random_plant(rng)
@@ -96,20 +98,28 @@ def random_answers(count, low, high, model):
         gain = 1.0003 / abs(P.response(f[[rng.integers(1, 1000)]])[0])  # some line in the lower half is at 0 dB
         if P.unstable_poles() and not P.integrators() and 0.9 < gain < 1.1:
             continue  # a closed-loop pole all but at zero, which lines that start above zero cannot tell
-        yield P.integrators(), P.unstable_poles(), by_roots(num, den, gain), answer(num, den, f, gain, model=model)
+        below = gain * np.abs(P.response(f[0] * np.geomspace(1e-4, 1.0, 400)))
+        passes = bool(below.min() < 1.0 < below.max())
+        yield (
+            P.integrators(),
+            P.unstable_poles(),
+            by_roots(num, den, gain),
+            answer(num, den, f, gain, model=model),
+            passes,
+        )
 
 
 @pytest.mark.long
 def test_from_lines_below_the_lowest_corner_the_answer_is_never_wrong():
     answers = list(random_answers(700, 0.01, 0.5, model=False))
     decided = [x for x in answers if x[3].outcome != "undecided"]
-    for integrators, unstable, poles, found in decided:
+    for integrators, unstable, poles, found, _ in decided:
         assert (found.outcome == "stable") == (poles == 0)
         if integrators or not unstable:
             assert found.unstable_poles == poles
     assert len(answers) > 600
     assert len(decided) > 0.88 * len(answers)  # measured: 0.92; the rest starts below 0 dB or turns too fast
-    assert 0.1 < np.mean([poles == 0 for _, _, poles, _ in decided]) < 0.9
+    assert 0.1 < np.mean([x[2] == 0 for x in decided]) < 0.9
 
 
 @pytest.mark.long
@@ -118,11 +128,14 @@ def test_with_a_model_below_the_lines_the_answer_is_never_wrong():
     # lines that start up to four times above the lowest corner
     answers = list(random_answers(700, 0.01, 4.0, model=True))
     decided = [x for x in answers if x[3].outcome != "undecided"]
-    for _, _, poles, found in decided:
+    for _, _, poles, found, _ in decided:
         assert found.unstable_poles == poles
         assert (found.outcome == "stable") == (poles == 0)
-    assert len(decided) > 0.95 * len(answers)  # measured: 0.98
-    assert 0.1 < np.mean([poles == 0 for _, _, poles, _ in decided]) < 0.9
+    # a crossover below the lines is not decided: a fit to noisy lines leads there by 1 of 480 verdicts wrongly
+    shown = [x for x in answers if not x[4]]
+    assert len(shown) > 0.9 * len(answers)
+    assert sum(x[3].outcome != "undecided" for x in shown) > 0.95 * len(shown)
+    assert 0.1 < np.mean([x[2] == 0 for x in decided]) < 0.9
 
 
 LINES = np.geomspace(0.01, 3000.0, 4000)
