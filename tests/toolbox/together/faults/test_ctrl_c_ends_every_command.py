@@ -60,11 +60,12 @@ def commands(folder):
     }  # fmt: skip
 
 
-def started(folder, words):
-    command = [sys.executable, "-m", "loopshape", *map(str, words)]
+def started(folder, *words):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell in the background ignores it
     try:
-        return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        return subprocess.Popen(
+            [sys.executable, *map(str, words)], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -100,7 +101,7 @@ def ended(folder, words, more_s=None, spent=LOADING[0]):
     The interrupt comes when the process has had `spent` times the processor time of Python's beginning and `more_s`
     more: a loaded machine makes that later, not another moment of the command.
     """
-    with started(folder, words) as process:
+    with started(folder, "-m", "loopshape", *words) as process:
         begun_s = spent * beginning_s()
         took_s = wait_until_spent(process, begun_s + (LONGEST_S if more_s is None else more_s)) - begun_s
         if process.poll() is None:
@@ -138,10 +139,11 @@ with ended_soon("interrupted; test", lambda: None):
 
 
 @pytest.mark.long
-def test_an_interrupt_that_falls_into_a_callback_ends_the_program_all_the_same():
+def test_an_interrupt_that_falls_into_a_callback_ends_the_program_all_the_same(tmp_path):
     begun = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=25, check=False)
-    assert (done.returncode, done.stderr) == (130, "loopshape: interrupted; test\n")
+    with started(tmp_path, "-c", LOST) as process:
+        _, err = process.communicate(timeout=25)
+    assert (process.returncode, err) == (130, "loopshape: interrupted; test\n")
     assert time.monotonic() - begun < SOON_S + 2.0
 
 
