@@ -10,8 +10,6 @@ import numpy as np
 
 from loopshape.core.units import TWO_PI, Array, rad
 from loopshape.data.control.controller import Controller
-from loopshape.toolbox.rig.excitation.excitation import ramp
-from loopshape.toolbox.rig.excitation.setpoints import Profile
 
 RATE_HZ = 1000.0
 PERIOD_S, PERIODS, RAMP_S = 10.0, 4, 1.0
@@ -77,7 +75,7 @@ def multisine(design: str, controller: Controller, rng: np.random.Generator) -> 
     one = periods[np.argmin(np.abs(periods).max(axis=1))]
     rising = round(RAMP_S * RATE_HZ)
     signal = one[np.arange(-rising, PERIODS * n) % n]
-    signal[:rising] *= ramp(2 * rising, rising)[:rising]
+    signal[:rising] *= 0.5 - 0.5 * np.cos(0.5 * TWO_PI * (np.arange(rising) + 0.5) / rising)
     return signal
 
 
@@ -132,7 +130,20 @@ def profile(rng: np.random.Generator) -> Array:
 def _move(from_deg: float, to_deg: float, limits: tuple[float, float, float], rest_s: float) -> Array:
     """A move in rad under limits of speed, acceleration and jerk, and the rest after it."""
     before, after = float(rad(from_deg)), float(rad(to_deg))
-    n = round(20.0 * RATE_HZ)
-    x = Profile((0.0,), (after,), *limits).sampled(n, RATE_HZ, before)
+    t = np.arange(round(20.0 * RATE_HZ)) / RATE_HZ
+    x = np.full(t.size, before) + np.sign(after - before) * _travelled(t, abs(after - before), *limits)
     arrived = int(np.flatnonzero(np.abs(x - after) > 1e-9)[-1]) + 1
     return x[: arrived + round(rest_s * RATE_HZ)]
+
+
+def _travelled(t: Array, distance: float, speed: float, acceleration: float, jerk: float) -> Array:
+    """Way (n,) of the soonest move over a distance at times t (n,): seven stretches of constant jerk."""
+    jerks_s = min(acceleration / jerk, np.sqrt(speed / jerk), np.cbrt(distance / (2.0 * jerk)))
+    most = jerk * jerks_s  # of the acceleration
+    bends_s = 0.5 * (-3.0 * jerks_s + np.sqrt(jerks_s**2 + 4.0 * distance / most))
+    steady_s = max(0.0, min(speed / most - jerks_s, bends_s))
+    fastest = most * (jerks_s + steady_s)
+    cruise_s = max((distance - fastest * (2 * jerks_s + steady_s)) / fastest, 0.0)
+    ends = np.cumsum([0.0, jerks_s, steady_s, jerks_s, cruise_s, jerks_s, steady_s, jerks_s])
+    late = np.maximum(np.minimum(t, ends[-1])[:, None] - ends, 0.0)
+    return np.asarray((late**3 @ (np.array([1, -1, -1, 1, -1, 1, 1, -1]) * jerk)) / 6.0)
