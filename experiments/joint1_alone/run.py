@@ -34,7 +34,6 @@ from loopshape.io.files import write_bytes_whole  # noqa: E402
 from loopshape.io.requirements import read_requirements  # noqa: E402
 from loopshape.loop.loop import Loop  # noqa: E402
 from loopshape.loop.loops import loops_of  # noqa: E402
-from loopshape.loop.predict.indicators import recorded_steps  # noqa: E402
 from loopshape.loop.verdict import check  # noqa: E402
 from loopshape.toolbox.arm.arm2 import Arm2  # noqa: E402
 from loopshape.toolbox.arm.dynamics.linear2 import Linearisation2, linearise_pairs2  # noqa: E402
@@ -42,6 +41,7 @@ from loopshape.toolbox.arm.parameters2 import ARM2_PARAMETERS, constants2  # noq
 from loopshape.toolbox.arm.strategies2 import PAIRS  # noqa: E402
 from loopshape.toolbox.rig.files.study import read_study  # noqa: E402
 from loopshape.toolbox.rig.simulated import header, measure  # noqa: E402
+from loopshape.toolbox.validation.remeasured import recorded_steps  # noqa: E402
 from loopshape.view.plots.loops import loop_page  # noqa: E402
 from loopshape.view.plots.nichols import nichols  # noqa: E402
 from loopshape.view.style import png  # noqa: E402
