@@ -7,9 +7,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import typer
-from conversions import TWO_PI
+from coupled_run import REQUIREMENTS, F, coupled_run, matrix
 from run_files import read_required, write_controllers, write_frfs, write_matrices
-from several_cases import frf_of, gain, noisy
+from several_cases import gain
 from typer.testing import CliRunner
 
 import loopshape as ls
@@ -17,40 +17,13 @@ from loopshape.cli.verify.check import check as check_command
 from loopshape.io.requirements import OWN
 from loopshape.testing import ControllerTest, assert_controller
 
-F = np.arange(0.1, 20.0, 0.1)
-S = 1j * TWO_PI * F
 APP = typer.Typer()
 APP.command()(check_command)
-REQUIREMENTS = """
-format = "loopshape-requirements/1"
-
-[[loop]]
-name = "a"
-modulus_margin = 0.5
-
-[[loop]]
-name = "b"
-modulus_margin = 0.5
-
-[several]
-disk_margin = {disk}
-sensitivity_peak_db = 8.0
-integrators = 2
-unstable_poles = 0
-"""
-
-
-def matrix(coupling, recording="exact"):
-    G = np.array([[1.0, coupling], [-coupling, 1.0]]) * (4.0 / (S * (0.02 * S + 1.0)))[:, None, None]
-    return noisy(frf_of(F, G, 0.01, loop="a+b", recording=recording), np.random.default_rng(0))
 
 
 @pytest.fixture
 def run(tmp_path):
-    write_matrices(tmp_path, [matrix(0.3)])
-    write_controllers(tmp_path / "c.toml", [gain("a"), gain("b")])
-    (tmp_path / "r.toml").write_text(REQUIREMENTS.format(disk=0.5))
-    return tmp_path
+    return coupled_run(tmp_path)
 
 
 def said(run, *more):

@@ -2,37 +2,14 @@
 
 import numpy as np
 import pytest
-from bench_nouns import Block, Step
+from prediction_nouns import T, predictions, sensitivity, step
 
 import loopshape as ls
 from loopshape.loop.predict.indicators import indicators
-from loopshape.toolbox.validation.comparison import compare, sensitivity_of
+from loopshape.toolbox.validation.comparison import compare
 from loopshape.toolbox.validation.nouns import StepComparison
 from loopshape.toolbox.validation.pictures import comparison_grid, steps_grid
 from loopshape.view.style import png
-
-GAIN = ls.Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
-T = np.linspace(0.0, 2.0, 200)
-
-
-def sensitivity(point: float, gain: float = 1.0) -> ls.FRF:
-    f = np.geomspace(0.1, 20.0, 40)
-    P = gain / (2j * np.pi * f)
-    frf = ls.FRF(
-        f, P[:, None, None], (1e-3 * np.abs(P) ** 2)[:, None, None].astype(complex), np.ones(40, dtype=bool), ("z_v",),
-        ("theta2_rad",), "made", recording=f"r{point:g}", loop="theta2", rate_hz=1000.0, recorded_under=GAIN,
-        operating_point={"theta2_deg": point},
-    )  # fmt: skip
-    return sensitivity_of(frf)
-
-
-def step() -> Step:
-    y = 1.0 - np.exp(-5.0 * T)
-    return Step(T, y, y - 0.05, y + 0.05, indicators(T, y), "fit")
-
-
-def predictions() -> list[ls.Prediction]:
-    return [ls.Prediction(sensitivity(p), "stable", step()) for p in (0.0, 15.0)]
 
 
 def test_a_comparison_shows_both_and_shades_where_it_fails() -> None:
