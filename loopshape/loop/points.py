@@ -39,7 +39,8 @@ def point_outcome(margins: Margins, quantity: str, required: float) -> Outcome:
     if min(slacks) >= 0.0:
         return Outcome.PASSED
     at_hz = read.at_hz or 0.0
-    perhaps = max(slacks) >= 0.0 or any(low < at_hz < high for low, high in margins.missing_hz)
+    guessed = read.bound is None and any(low < at_hz < high for low, high in margins.missing_hz)
+    perhaps = guessed or max(slacks) >= 0.0
     if quantity == "complementary_bandwidth_hz":  # |T| may fall for the last time in a hole further up
         perhaps |= any(required < high for _, high in margins.missing_hz)
     return Outcome.UNDECIDED if perhaps else Outcome.FAILED

@@ -326,10 +326,12 @@ def _worst_line(limit: Limit, required: Mapping[str, float], found: Mapping[str,
     return min(lines, key=lambda line: (-line.outcome.severity, line.slack))
 
 
-def _measured_to_hz(limit: Limit, required: float, margin: Margins) -> float | None:
-    """Up to where to measure what a bound leaves open, or below its frequency down to where."""
+def _to_measure(limit: Limit, required: float, margin: Margins) -> tuple[float | None, float | None]:
+    """From where and up to where to measure what a bound leaves open, or below its frequency down to where."""
     at_hz = margin[limit.name].at_hz or 0.0
-    return decided_at_hz(limit.name, required, margin) if at_hz >= margin.last_hz * (1.0 - 1e-9) else LOWER * at_hz
+    if at_hz >= margin.last_hz * (1.0 - 1e-9):
+        return None, decided_at_hz(limit.name, required, margin)
+    return next((gap for gap in margin.missing_hz if gap[0] < at_hz < gap[1]), (None, LOWER * at_hz))
 
 
 def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> RequirementResult:
@@ -338,6 +340,7 @@ def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> 
     bounded, sign = read.bound is not None, limit.sign
     bad, good = read.ends[:: int(sign)]
     outcome = point_outcome(margin, limit.name, required)
+    from_hz, to_hz = _to_measure(limit, required, margin) if outcome is Outcome.UNDECIDED and bounded else (None, None)
     return RequirementResult(
         quantity=limit.name,
         unit=limit.unit,
@@ -350,6 +353,7 @@ def _line_at(limit: Limit, required: float, recording: str, margin: Margins) -> 
         interval=read.interval,
         longer=longer(read.value, bad, good, required, sign) if outcome is Outcome.UNDECIDED and not bounded else None,
         bound=read.bound,
-        measure_to_hz=_measured_to_hz(limit, required, margin) if outcome is Outcome.UNDECIDED and bounded else None,
+        measure_to_hz=to_hz,
         beyond=limit.name == "detuning_percent" and margin.detuning is not None and margin.detuning.worst.beyond,
+        measure_from_hz=from_hz,
     )

@@ -71,7 +71,7 @@ class RequirementResult(Plain):
     then `longer` says by which factor more measuring would decide it, if the estimate stays (inf: no length would).
     A line whose number is a bound says in `bound` how good it may be, and where it is undecided in `measure_to_hz` up
     to which frequency to measure, as |L| falls on over the highest lines (None: not known), or below `at_hz` down to
-    which.
+    which; of what lines that are missing may hide in `measure_from_hz` from where.
     `beyond` tells that `value` is a bound, the largest that was searched.
     """
 
@@ -90,6 +90,7 @@ class RequirementResult(Plain):
     bound: float | None = None
     measure_to_hz: float | None = None
     beyond: bool = False
+    measure_from_hz: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "outcome", Outcome(self.outcome))

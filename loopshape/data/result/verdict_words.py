@@ -145,6 +145,8 @@ def _decides(line: RequirementResult) -> str:
     """How much more measuring would decide an undecided line, or up to which frequency."""
     if line.outcome is Outcome.UNDECIDED and line.bound is not None:
         at_hz, to_hz = line.at_hz or 0.0, line.measure_to_hz
+        if line.measure_from_hz is not None:
+            return f"bounded by what {line.measure_from_hz:.3g} to {to_hz:.3g} Hz may hide; measure finer there"
         if to_hz is not None and to_hz < at_hz:
             return f"bounded by what lies below the first frequency; measure down to {to_hz:.3g} Hz"
         higher = "higher" if to_hz is None else f"up to {to_hz:.3g} Hz"

@@ -11,16 +11,16 @@ import numpy as np
 
 from loopshape.core.kernels.loops import margins as kernel
 from loopshape.core.toolboxes import function_at
-from loopshape.core.units import Array, ComplexArray, db
+from loopshape.core.units import Array, ComplexArray, db, deg
 from loopshape.data.control.controller import controller_bandwidth_hz
-from loopshape.data.requirement.limits_over import Mask
+from loopshape.data.requirement.limits_over import MASKED, Mask
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS, Requirements
 from loopshape.data.requirement.weight import Weight, over
 from loopshape.data.response.smoothed import by_draw, spread
 from loopshape.data.result.margins import Margins, Reading
 from loopshape.loop.loop import Loop, slope_at_end
 from loopshape.loop.margin.between import axis_crossings, interpolated, unit_crossings
-from loopshape.loop.stability.holes import gaps_of
+from loopshape.loop.stability.holes import gaps_of, hidden_in
 from loopshape.loop.stability.low_end import BELOW_RATIOS, LowModel, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.loop.tolerances import TOL
@@ -187,7 +187,9 @@ class _Found(NamedTuple):
 
     def worst(self, name: str, value: float, at_hz: float, best: float | None = None) -> None:
         """Make a reading a bound: no worse than `value`, at best as it was read, or as `best`."""
-        self.bounds[name] = self.bounds.get(name, self.values[name]) if best is None else best
+        good = max if LIMIT_OF[name].sense == "at_least" else min
+        read = good(self.intervals.get(name, (self.values[name],)))
+        self.bounds[name] = self.bounds.get(name, read) if best is None else best
         if name in self.intervals and value != self.values[name]:
             self.intervals[name] = (value, value)
         self.values[name], self.at_hz[name] = value, at_hz
@@ -215,6 +217,7 @@ def _found(loop: Loop, j: _Judged, readings: Sequence[_Judged], reader: Reader) 
     if first is j and not is_large(loop) and j.f.size > 1 and j.f[0] > kernel.AT_ZERO * j.f[1]:
         _bounded_below(loop, j, known)
     _bounded_above(loop, j, known)
+    _bounded_between(loop, first, reader, known)
     return known
 
 
@@ -255,6 +258,52 @@ def _bounded_above(loop: Loop, j: _Judged, found: _Found) -> None:
     peak_db = float(db(abs(j.L[-1] / j.C[-1]) / room))
     if peak_db > found.values["process_peak_db"]:
         found.worst("process_peak_db", peak_db, last_hz)
+
+
+def _bounded_between(loop: Loop, j: _Judged, reader: Reader, found: _Found) -> None:
+    """Between lines that are missing a resonance may move L without a trace: what that makes of each limit at worst."""
+    hidden = hidden_in(loop)
+    among = hidden is not None and hidden.missing & (hidden.ends_hz[:, 1] <= j.f[-1])
+    if hidden is None or not np.any(among):
+        return
+    ends, moved = hidden.ends_hz[among], hidden.moved[among]
+    rows = [(j.f >= low_hz) & (j.f <= high_hz) for low_hz, high_hz in ends]
+    least = [(np.abs(1.0 + j.L[k]).min(), np.abs(j.L[k]).min(), np.abs(j.C[k]).min()) for k in rows]
+    most = [(np.abs(j.L[k]).max(), np.abs(j.C[k]).max()) for k in rows]
+    (room, low, least_C), (high, C) = np.transpose(least), np.transpose(most)
+    crosses, room, low, high = low > 1.0, np.maximum(room - moved, 0.0), np.maximum(low - moved, 0.0), high + moved
+    weights = over(reader.masks, reader.weights, ends.ravel()).reshape(-1, *ends.shape).max(axis=2)
+    with np.errstate(divide="ignore"):
+        S, T, inner = 1.0 / room, high / room, np.minimum(np.maximum(1.0 - room, 0.0), high)
+        CS, PS = C * S, T / least_C
+        phase_deg = np.where((low < 1.0) & (high > 1.0), 2.0 * deg(np.arcsin(np.minimum(0.5 * room, 1.0))), np.inf)
+        worst = {
+            "modulus_margin": room,
+            "disk_margin": 2.0 * room / (1.0 + high),
+            "sensitivity_peak_db": db(S),
+            "complementary_peak_db": db(T),
+            "control_peak_db": db(CS),
+            "process_peak_db": db(PS),
+            "control_high_frequency_db": np.where(ends[:, 1] >= reader.from_hz, db(CS), -np.inf),
+            "gain_margin_db": -db(inner),
+            "gain_reduction_margin_db": np.where(high > 1.0, db(np.maximum(1.0 + room, low)), np.inf),
+            "phase_margin_deg": phase_deg,
+            "delay_margin_s": phase_deg / 360.0 / ends[:, 1],
+            "bandwidth_hz": np.where(crosses & (low < 1.0), ends[:, 0], np.inf),
+            "sensitivity_bandwidth_hz": np.where(2.0 * room**2 < 1.0, ends[:, 0], np.inf),
+        }
+        squares = np.array([S, T, CS, PS, high, 1.0 / low, S, T, CS, PS]) ** 2
+        weighed = np.multiply(weights, squares, out=np.zeros_like(weights), where=weights > 0.0)
+        worst |= {name: 0.5 * db(row) for name, row in zip(MASKED, weighed, strict=False)}
+        worst["weighted_norm"] = np.sqrt(weighed[len(MASKED) :].sum(axis=0))
+    for name, values in worst.items():
+        falls = LIMIT_OF[name].sense == "at_least"
+        k = int(np.argmin(values) if falls else np.argmax(values))
+        if name in found.values and (values[k] < found.values[name] if falls else values[k] > found.values[name]):
+            at_hz = found.at_hz.get(name, 0.0)
+            guessed = bool(((ends[:, 0] < at_hz) & (at_hz < ends[:, 1])).any())  # read off the lines on both sides
+            best = (np.inf if falls else -np.inf) if guessed else None
+            found.worst(name, float(values[k]), float(np.sqrt(ends[k].prod())), best)
 
 
 def _judged(loop: Loop) -> _Judged:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -94,18 +95,39 @@ def median_of_five(values: Array) -> Array:
     return np.asarray(np.median(np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5), axis=1))
 
 
-def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
-    """Where a resonance might encircle -1 between lines that are missing or too uncertain to show it."""
+class Hidden(NamedTuple):
+    """What the lines about each gap (gaps,) leave open: a resonance between them may move L by `moved` at most.
+
+    `room` is the least |1 + L| at both ends, `least` the least |L|.
+    """
+
+    ends_hz: Array
+    missing: np.ndarray
+    moved: Array
+    room: Array
+    least: Array
+
+
+def hidden_in(loop: Loop) -> Hidden | None:
+    """What may hide in the gaps of a loop; None where it has none."""
     gaps = gaps_of(loop)
     if not gaps:
         return None
-    ends = np.array([(x.low_hz, x.high_hz) for x in gaps])
+    ends, missing = np.array([(x.low_hz, x.high_hz) for x in gaps]), np.array([x.missing for x in gaps])
     C = loop.controller.response(ends.ravel()).reshape(ends.shape)
     L = C * np.array([(x.at_low, x.at_high) for x in gaps])
-    room, near = np.abs(1.0 + L).min(axis=1), np.abs(L).min(axis=1) < 1.0 / FAR
-    middle, residue = np.sqrt(ends.prod(axis=1)), np.array([x.residue for x in gaps])
-    least = np.where([x.missing for x in gaps], LEAST_DAMPING, POOR_DAMPING)
-    hides = np.flatnonzero(near & (np.abs(C).max(axis=1) * residue > least * middle * room))
+    width = np.where(missing, LEAST_DAMPING, POOR_DAMPING) * np.sqrt(ends.prod(axis=1))
+    moved = np.abs(C).max(axis=1) * np.array([x.residue for x in gaps]) / width
+    return Hidden(ends, missing, moved, np.abs(1.0 + L).min(axis=1), np.abs(L).min(axis=1))
+
+
+def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
+    """Where a resonance might encircle -1 between lines that are missing or too uncertain to show it."""
+    hidden = hidden_in(loop)
+    if hidden is None:
+        return None
+    gaps, ends, near = gaps_of(loop), hidden.ends_hz, hidden.least < 1.0 / FAR
+    hides = np.flatnonzero(near & (hidden.moved > hidden.room))
     if not hides.size:
         return None
     first = gaps[hides[0]]

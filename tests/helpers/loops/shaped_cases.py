@@ -25,8 +25,10 @@ def noisy(f_hz: np.ndarray, P: np.ndarray, share: float, name: str, seed: int) -
 
 
 def plants(kind: str) -> list[ls.FRF]:
-    """Operating points of a kind: lags without an integrator, a sharp resonance, an exact line, a hidden resonance."""
+    """Operating points of a kind: lags without an integrator, a sharp resonance, an exact line, a hidden resonance,
+    and lines with a wide hole among them, or so far apart that they hide anything."""
     f = np.linspace(0.5, 200.0, 300) if kind in ("sharp", "hidden") else np.geomspace(0.5, 300.0, 160)
+    f = np.geomspace(0.5, 300.0, 18) if kind == "sparse" else f[(f < 20.0) | (f > 27.0)] if kind == "hole" else f
     s = 2j * np.pi * f
     out = []
     for k, shift in enumerate((1.0, 1.15)):
@@ -36,6 +38,8 @@ def plants(kind: str) -> list[ls.FRF]:
             "lag": lag,
             "minus": -0.5 * lag,
             "exact": lag,
+            "sparse": lag,
+            "hole": lag,
             "sharp": lag + 0.02 * w**2 / (s**2 + 2 * 0.004 * w * s + w**2),
             "hidden": lag + 2e-4 * w**2 / (s**2 + 2 * 0.0006 * w * s + w**2),
         }[kind]

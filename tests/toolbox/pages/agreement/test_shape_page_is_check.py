@@ -123,7 +123,7 @@ def test_a_crossover_below_the_first_line(context: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden"])
+@pytest.mark.parametrize("kind", ["lag", "minus", "exact", "sharp", "hidden", "sparse", "hole"])
 def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path) -> None:
     assert not compared(context, tmp_path, shaped_cases.plants(kind), LAGS, WANTED, 3)
 
@@ -157,7 +157,7 @@ LATE = ls.AtPoints({"load_kg": (0.0, 9.0), "x_m": (0.0, 1.0)}, {"phase_margin_de
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("kind", ["minus", "sharp"])
+@pytest.mark.parametrize("kind", ["minus", "sharp", "hole"])
 def test_masks_and_limits_of_single_operating_points(kind: str, context: Any, tmp_path: Path) -> None:
     """One point lies in a range, one in none, and one range names a coordinate that no point has."""
     frfs = [

@@ -1,15 +1,15 @@
 // Loop -> margins, bias-corrected for noise, with 95 % intervals from draws (Python: loop/margins.py).
 
-import { clip, db, fromDb, geometric, magnitudes, type Complex, type Real } from "../numbers/arrays";
+import { clip, db, deg, fromDb, geometric, magnitudes, placeIn, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import type { Detuning } from "./detuning";
 import { disturbedUnder, rmsUnder, type Rms } from "./disturbed";
 import type { ReadLimit } from "../payload";
-import { DISTURBED, type Reader } from "./limits";
+import { DISTURBED, MASKED, weights, type Reader } from "./limits";
 import type { Draws } from "../numbers/dense";
 import { inSight, isLarge, largestAbove, readings, type Judged, type Loop } from "./loop";
 import * as kernel from "./reading";
-import type { Stability } from "./stability";
+import { hiddenIn, type Stability } from "./stability";
 
 const readLimits = new WeakMap<ReadLimit[], [ReadLimit, number][]>();
 
@@ -74,7 +74,8 @@ export function margins(loop: Loop, reader: Reader): Margins {
   const made = { values, intervals, bounds: best, at_hz: places(at, first.f[0], reader) };
   const continued = first.f.length > loop.dense.f.length;
   if (!continued && !isLarge(loop) && first.f.length > 1 && first.f[0] > loop.plant.source.constants.at_zero * first.f[1]) boundedBelow(loop, first, made, reader);
-  boundedAbove(loop, first, made);
+  boundedAbove(loop, first, made, reader);
+  boundedBetween(loop, first, made, reader);
   values.controller_bandwidth_hz = control.bandwidthHz(loop.controller);
   values.detuning_percent = NaN;
   readDisturbed(loop, made, reader, first.draws !== null);
@@ -102,8 +103,9 @@ function readDisturbed({ point, controller, plant }: Loop, { values, intervals }
 }
 
 /** Make a reading a bound: no worse than `value`, at best as it was read, or as `best`. */
-function worst(found: Measured, name: string, value: number, at_hz: number, best = found.bounds[name] ?? found.values[name]): void {
-  found.bounds[name] = best;
+function worst(found: Measured, { limits }: Reader, name: string, value: number, at_hz: number, best?: number): void {
+  const good = limits.find((limit) => limit.name === name)?.sense === "at_least" ? Math.max : Math.min;
+  found.bounds[name] = best ?? found.bounds[name] ?? good(...(found.intervals[name] ?? [found.values[name]]));
   if (found.intervals[name] && value !== found.values[name]) found.intervals[name] = [value, value];
   [found.values[name], found.at_hz[name]] = [value, at_hz];
 }
@@ -111,22 +113,22 @@ function worst(found: Measured, name: string, value: number, at_hz: number, best
 const size = ({ re, im }: Complex, k: number): number => Math.sqrt(re[k] * re[k] + im[k] * im[k]);
 
 /** What may lie below the first line, where no model tells it and |L| is not large there (`_bounded_below`). */
-function boundedBelow(loop: Loop, j: Judged, found: Measured, { limits }: Reader): void {
+function boundedBelow(loop: Loop, j: Judged, found: Measured, reader: Reader): void {
   const [first_hz, first, hidden] = [j.f[0], size(j.L, 0), !inSight(loop)];
   for (const name of ["bandwidth_hz", "sensitivity_bandwidth_hz"]) {
-    if (found.values[name] === 0 || hidden) worst(found, name, 0, first_hz, Math.max(found.values[name], first_hz));
+    if (found.values[name] === 0 || hidden) worst(found, reader, name, 0, first_hz, Math.max(found.values[name], first_hz));
   }
-  if (found.values.complementary_bandwidth_hz === 0) worst(found, "complementary_bandwidth_hz", 0, first_hz, first_hz);
+  if (found.values.complementary_bandwidth_hz === 0) worst(found, reader, "complementary_bandwidth_hz", 0, first_hz, first_hz);
   if (!hidden) {
     const below = Float64Array.from(loop.plant.source.constants.below_ratios, (share) => first_hz * share);
     const least = Math.min(...magnitudes(control.response(loop.controller, below)));
     const peak = db(first / Math.max(first - 1, 1e-9) / least);
-    if (peak > found.values.process_peak_db) worst(found, "process_peak_db", peak, first_hz);
+    if (peak > found.values.process_peak_db) worst(found, reader, "process_peak_db", peak, first_hz);
     return;
   }
-  for (const name of ["gain_margin_db", "modulus_margin", "disk_margin"]) worst(found, name, 0, first_hz);
-  for (const name of ["sensitivity", "complementary", "control", "process"]) worst(found, `${name}_peak_db`, Infinity, first_hz);
-  for (const { name } of limits.filter(({ crossing }) => crossing)) {
+  for (const name of ["gain_margin_db", "modulus_margin", "disk_margin"]) worst(found, reader, name, 0, first_hz);
+  for (const name of ["sensitivity", "complementary", "control", "process"]) worst(found, reader, `${name}_peak_db`, Infinity, first_hz);
+  for (const { name } of reader.limits.filter(({ crossing }) => crossing)) {
     found.values[name] = NaN;
     delete found.bounds[name];
     delete found.intervals[name];
@@ -134,14 +136,60 @@ function boundedBelow(loop: Loop, j: Judged, found: Measured, { limits }: Reader
 }
 
 /** How far |T| may still rise above the last line, and |PS| (`_bounded_above`). */
-function boundedAbove(loop: Loop, j: Judged, found: Measured): void {
+function boundedAbove(loop: Loop, j: Judged, found: Measured, reader: Reader): void {
   const end = j.f.length - 1;
   const last = Math.max(size(j.L, end), largestAbove(loop));
   if (!aboveHz(loop.f[loop.f.length - 1], loop.controller.rate_hz).length) return;
   const room = Math.max(1 - last, 1e-9);
-  if (last / room >= Math.SQRT1_2) worst(found, "complementary_bandwidth_hz", found.values.complementary_bandwidth_hz, j.f[end], Infinity);
+  if (last / room >= Math.SQRT1_2) worst(found, reader, "complementary_bandwidth_hz", found.values.complementary_bandwidth_hz, j.f[end], Infinity);
   const peak = db(size(j.L, end) / size(j.C, end) / room);
-  if (peak > found.values.process_peak_db) worst(found, "process_peak_db", peak, j.f[end]);
+  if (peak > found.values.process_peak_db) worst(found, reader, "process_peak_db", peak, j.f[end]);
+}
+
+/** What a resonance that lines which are missing do not show makes of each limit at worst (`_bounded_between`). */
+function boundedBetween(loop: Loop, { f, L, C }: Judged, found: Measured, reader: Reader): void {
+  const gaps = hiddenIn(loop).filter(({ missing, hz }) => missing && hz[1] <= f[f.length - 1]);
+  if (!gaps.length) return;
+  const weighed = weights(reader.masks, Float64Array.from(gaps.flatMap(({ hz }) => hz)));
+  const each = gaps.map(({ hz, moved }, k) => {
+    let [near, least, most, leastC, mostC] = [Infinity, Infinity, 0, Infinity, 0];
+    for (let i = placeIn(f, hz[0]); i < placeIn(f, hz[1], true); i++) {
+      const [own, c] = [size(L, i), size(C, i)];
+      near = Math.min(near, Math.hypot(1 + L.re[i], L.im[i]));
+      [least, most, leastC, mostC] = [Math.min(least, own), Math.max(most, own), Math.min(leastC, c), Math.max(mostC, c)];
+    }
+    const [room, low, high] = [Math.max(near - moved, 0), Math.max(least - moved, 0), most + moved];
+    const responses = [1 / room, high / room, mostC / room, high / room / leastC, high, 1 / low];
+    const phase = low < 1 && high > 1 ? 2 * deg(Math.asin(Math.min(0.5 * room, 1))) : Infinity;
+    const made: Record<string, number> = {
+      modulus_margin: room,
+      disk_margin: (2 * room) / (1 + high),
+      sensitivity_peak_db: db(responses[0]),
+      complementary_peak_db: db(responses[1]),
+      control_peak_db: db(responses[2]),
+      process_peak_db: db(responses[3]),
+      control_high_frequency_db: hz[1] >= reader.fromHz ? db(responses[2]) : -Infinity,
+      gain_margin_db: -db(Math.min(Math.max(1 - room, 0), high)),
+      gain_reduction_margin_db: high > 1 ? db(Math.max(1 + room, low)) : Infinity,
+      phase_margin_deg: phase,
+      delay_margin_s: phase / 360 / hz[1],
+      bandwidth_hz: least > 1 && low < 1 ? hz[0] : Infinity,
+      sensitivity_bandwidth_hz: 2 * room ** 2 < 1 ? hz[0] : Infinity,
+    };
+    weighed?.forEach((row, m) => {
+      const weight = Math.max(row[2 * k], row[2 * k + 1]);
+      made[MASKED[m]] = weight > 0 ? 0.5 * db(weight * responses[m] ** 2) : -Infinity;
+    });
+    return made;
+  });
+  for (const { name, sense } of reader.limits.filter(({ name }) => name in each[0] && name in found.values)) {
+    const falls = sense === "at_least";
+    const k = each.reduce((best, made, i) => ((falls ? made[name] < each[best][name] : made[name] > each[best][name]) ? i : best), 0);
+    const [value, at, { hz }] = [each[k][name], found.at_hz[name] ?? 0, gaps[k]];
+    if (!(falls ? value < found.values[name] : value > found.values[name])) continue;
+    const guessed = gaps.some((gap) => gap.hz[0] < at && at < gap.hz[1]); // read off the lines on both sides
+    worst(found, reader, name, value, Math.sqrt(hz[0] * hz[1]), guessed ? (falls ? Infinity : -Infinity) : undefined);
+  }
 }
 
 function gridOf(loop: Loop, { f, C }: Judged, reader: Reader): kernel.Grid {

@@ -7,6 +7,7 @@ import * as control from "../numbers/controller";
 import { belowLines, chordsOf, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
 import { aboveHz } from "./margins";
 import { normalBelow } from "../numbers/special";
+import type { Gap } from "../payload";
 import { angleOf, turnAlong } from "./turns";
 
 export interface Stability {
@@ -306,23 +307,34 @@ function chanceOfError(radius: Real, common: Real, nearest: number): number {
   return Math.min(chance, 1);
 }
 
-/** Where a resonance might encircle -1 between lines that are missing or too uncertain to show it (`_unseen`). */
-function unseen({ point, controller, plant }: Loop): Undecided | null {
-  const { gaps } = point;
-  if (!gaps.length) return null;
-  const C = control.response(controller, Float64Array.from(gaps.flatMap((gap) => gap.hz)));
-  const hides = gaps.map((gap, k) => {
+/** A gap, how far a resonance in it may move L at most, and the least |1 + L| and |L| at its ends (`Hidden`). */
+interface Hidden extends Gap {
+  moved: number;
+  room: number;
+  least: number;
+}
+
+/** What may hide in the gaps of a loop (`hidden_in`). */
+export function hiddenIn({ point, controller, plant }: Loop): Hidden[] {
+  if (!point.gaps.length) return [];
+  const { least_damping, poor_damping } = plant.source.constants;
+  const C = control.response(controller, Float64Array.from(point.gaps.flatMap((gap) => gap.hz)));
+  return point.gaps.map((gap, k) => {
     const ends = gap.P.map(([re, im], i) => {
       const [x, y] = [C.re[2 * k + i], C.im[2 * k + i]];
       const [u, v] = [x * re - y * im, x * im + y * re];
-      return { size: Math.hypot(x, y), room: Math.hypot(1 + u, v), L: Math.hypot(u, v) };
+      return [Math.hypot(x, y), Math.hypot(1 + u, v), Math.hypot(u, v)];
     });
-    const middle = Math.sqrt(gap.hz[0] * gap.hz[1]);
-    const room = Math.min(ends[0].room, ends[1].room);
-    if (Math.min(ends[0].L, ends[1].L) >= 1 / plant.source.constants.hole_far) return false;
-    const least = gap.missing ? plant.source.constants.least_damping : plant.source.constants.poor_damping;
-    return Math.max(ends[0].size, ends[1].size) * gap.residue > least * middle * room;
+    const width = (gap.missing ? least_damping : poor_damping) * Math.sqrt(gap.hz[0] * gap.hz[1]);
+    const moved = (Math.max(ends[0][0], ends[1][0]) * gap.residue) / width;
+    return { ...gap, moved, room: Math.min(ends[0][1], ends[1][1]), least: Math.min(ends[0][2], ends[1][2]) };
   });
+}
+
+/** Where a resonance might encircle -1 between lines that are missing or too uncertain to show it (`_unseen`). */
+function unseen(loop: Loop): Undecided | null {
+  const { gaps } = loop.point;
+  const hides = hiddenIn(loop).map(({ moved, room, least }) => least < 1 / loop.plant.source.constants.hole_far && moved > room);
   const first = hides.indexOf(true);
   if (first < 0) return null;
   let last = first;

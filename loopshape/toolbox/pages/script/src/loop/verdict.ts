@@ -44,7 +44,7 @@ export function pointOutcome(m: Margins, limit: Limit, required: number): Outcom
   if (least ? low >= required : high <= required) return "passed";
   const at = m.at_hz[limit.name] ?? 0;
   const later = limit.name === "complementary_bandwidth_hz"; // |T| may fall for the last time in a hole further up
-  const within = m.missing_hz.some(([from, to]) => (later ? required < to : from < at && at < to));
+  const within = m.missing_hz.some(([from, to]) => (later ? required < to : best === undefined && from < at && at < to));
   const perhaps = (least ? high >= required : low <= required) || within;
   return perhaps ? "undecided" : "failed";
 }
