@@ -84,6 +84,7 @@ def test_a_file_that_an_earlier_program_kept_is_read_and_written_as_it_was(tmp_p
     assert raw.pop("format") == "loopshape-verdict/2"
     for loop in now["loops"]:
         (loop["controller"],) = loop.pop("controllers")
+        assert [line.pop("measure_from_hz") for line in loop["lines"]] == [None] * len(loop["lines"])
     assert now == raw
 
 
