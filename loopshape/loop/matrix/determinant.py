@@ -22,6 +22,7 @@ from loopshape.data.response.smoothed import Dense, spread
 from loopshape.identify.smooth.smoothing import smoothed_matrix
 from loopshape.loop.loop import Loop, characteristic_loci, responses, sensitivity
 from loopshape.loop.margin.between import Path, chords_to_minus_one
+from loopshape.loop.stability.holes import hole_among
 from loopshape.loop.stability.low_end import lowest_count
 from loopshape.loop.stability.obstacles import ON_IT, Sampling, Undecided, doubt, sampling
 from loopshape.loop.stability.sampling import HiddenPole, between_lines
@@ -251,6 +252,8 @@ def _doubt(loops: Loop, loci: ComplexArray, path: Path, between: Sampling, befor
     """What keeps the path from telling on which side of 0 det(I + L) passes; it comes from `before`."""
     if path.f.size < 2:
         return Undecided("one frequency does not make a curve")
+    if (missing := hole_among(loops)) is not None:
+        return Undecided(*missing)
     near = _on_it(loops.frequency_hz, loci, between.interpolated)
     found = near or doubt(path, between, before, loops.plant.variance_freedom, "det(I + L)", "0")
     return found or between.unclear

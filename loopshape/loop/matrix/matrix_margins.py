@@ -18,6 +18,7 @@ from loopshape.data.signal.channel import Channel, sum_terms
 from loopshape.loop.loop import Loop, responses, sensitivity
 from loopshape.loop.matrix.determinant import closed_loops_stability, followed_matrix
 from loopshape.loop.matrix.structured import mu_bounds, refined, upper_at
+from loopshape.loop.stability.holes import HiddenAmong, hidden_among
 from loopshape.loop.tolerances import TOL
 
 #: lines whose gauge is within this of the largest, in ln, are read in each draw, and how many at most: fewer where a
@@ -44,7 +45,8 @@ _Seen = tuple[ComplexArray, ComplexArray, Dense | None]
 class _Peak(NamedTuple):
     """Ln of a gauge's largest value over the lines, where, the scales that read it, and what it may reach beside them.
 
-    `beside` is -inf where what lies above the last line, and below the first, cannot be larger than on the lines.
+    `beside` is -inf where what lies above the last line, below the first, and in holes between them, cannot be larger
+    than on the lines; `hole_hz` is the middle of the hole that decides it.
     """
 
     value: float
@@ -53,6 +55,7 @@ class _Peak(NamedTuple):
     phases: ComplexArray
     scales: Array
     beside: float
+    hole_hz: float | None
 
 
 def matrix_margins(loops: Loop) -> Margins:
@@ -63,7 +66,8 @@ def matrix_margins(loops: Loop) -> Margins:
     same at the plant's inputs and outputs. Above the last line L is taken to stay as small as it is there (in the
     scales that show it smallest): a may be no more than 2 (1 - l)/(1 + l). Below the first line L is taken to stay as
     large as it is there, and this counts where a peak still rises towards that line. Where either decides a number,
-    that number is a bound, and `bounds` says how good it may be; `at_hz` stays with the largest line.
+    that number is a bound, and `bounds` says how good it may be; `at_hz` stays with the largest line. Where lines are
+    missing a bound is what a resonance may do that those about the hole do not show, and `at_hz` the hole's middle.
 
     With a covariance the lines are smoothed first, each number is freed of the bias that noise gives a largest of many,
     and has a 95 % interval: both from draws of the error (as in `loop.margin.margins`). For more than three loops,
@@ -81,7 +85,8 @@ def matrix_margins(loops: Loop) -> Margins:
     wanted = [g for g in GAUGES if not (mixed and g in "ST")]
     even = _in_even_units(P, c, scatter)
     seen = {g: (P, c, scatter) if g in "ST" else even for g in wanted}
-    peaks = {g: _peak(g, *seen[g][:2]) for g in wanted}
+    holes = hidden_among(loops)
+    peaks = {g: _peak(g, *seen[g][:2], f, holes) for g in wanted}
     values = {g: peaks[g].value for g in wanted}
     reaches: Mapping[str, tuple[float, float]] = {}
     if scatter is not None:
@@ -110,10 +115,11 @@ def matrix_margins(loops: Loop) -> Margins:
         found | _of_the_disk(a),
         stability.outcome,
         intervals=intervals,
-        at_hz={name: float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
+        at_hz={name: peaks[g].hole_hz or float(f[peaks[g].at]) for name, g in FIELDS.items() if g in peaks},
         bounds=bounds,
         stability_reason=stability.reason,
         stability_band_hz=stability.band_hz,
+        missing_hz=() if holes is None else tuple((float(low), float(high)) for low, high in holes.ends_hz),
         loops=loops.names,
         disk_margin_reached=reached,
         worst_changes=_changes(disk),
@@ -188,7 +194,7 @@ def broken_twice(P: ComplexArray, c: ComplexArray) -> ComplexArray:
     return L
 
 
-def _peak(name: str, P: ComplexArray, c: ComplexArray) -> _Peak:
+def _peak(name: str, P: ComplexArray, c: ComplexArray, f: Array, holes: HiddenAmong | None) -> _Peak:
     M = gauge_matrix(name, P, c)
     nf, m = M.shape[:2]
     if name in ("S", "T"):
@@ -200,8 +206,24 @@ def _peak(name: str, P: ComplexArray, c: ComplexArray) -> _Peak:
     beside = _above_last(name, P[-1:], c[-1:])
     if nf > 1 and size[0] > size[1]:
         beside = max(beside, _below_first(name, P[:1], c[:1]))
+    within, hole_hz = (0.0, None) if holes is None else _in_holes(size, f, holes)
+    hole_hz, beside = (hole_hz, within) if within > max(beside, size[k]) else (None, beside)
     beside = float(np.log(beside)) if beside > size[k] else -np.inf
-    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales, beside)
+    return _Peak(float(np.log(size[k])), k, float(np.log(lower[k])), phases[k], scales, beside, hole_hz)
+
+
+def _in_holes(size: Array, f: Array, holes: HiddenAmong) -> tuple[float, float]:
+    """The largest that a gauge of `size` (nf,) may reach in holes, and in the middle of which, in Hz.
+
+    A resonance that moves I + L by a share of its size moves S by share/(1 - share) of its own, which is no larger than
+    the gauge and 1.
+    """
+    each = []
+    for (low_hz, high_hz), share in zip(holes.ends_hz, holes.spread, strict=True):
+        known = size[(f >= low_hz) & (f <= high_hz)].max(initial=0.0)
+        more = share / (1.0 - share) if share < 1.0 else np.inf
+        each.append((float(known + (known + 1.0) * more), float(np.sqrt(low_hz * high_hz))))
+    return max(each)
 
 
 def _above_last(name: str, P: ComplexArray, c: ComplexArray) -> float:

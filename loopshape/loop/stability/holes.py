@@ -10,9 +10,10 @@ import numpy as np
 
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.frf_arrays import channel_scales
 from loopshape.identify import tolerances as estimates
 from loopshape.identify.spectra.averages import pooled_variance
-from loopshape.loop.loop import Loop
+from loopshape.loop.loop import Loop, responses, sensitivity
 from loopshape.loop.stability.sampling import between_lines
 from loopshape.loop.tolerances import TOL
 
@@ -128,21 +129,87 @@ def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
         return None
     gaps, ends, near = gaps_of(loop), hidden.ends_hz, hidden.least < 1.0 / FAR
     hides = np.flatnonzero(near & (hidden.moved > hidden.room))
-    if not hides.size:
-        return None
-    first = gaps[hides[0]]
-    last = hides[0]
+    return _in_words(ends, np.array([x.missing for x in gaps]), hides, "-1") if hides.size else None
+
+
+def _in_words(ends: Array, missing: np.ndarray, hides: np.ndarray, point: str) -> tuple[str, tuple[float, float]]:
+    """The first of the gaps that hide something, and those right after it, in words, and the band to measure."""
+    last = first = hides[0]
     for k in hides[1:]:  # one measurement for all that lie within an octave of each other
-        last = k if ends[k, 0] <= (1.0 if gaps[k].missing else 2.0) * ends[last, 1] else last
-    low, high = first.low_hz, float(ends[last, 1])
-    if first.missing and last == hides[0]:
+        last = k if ends[k, 0] <= (1.0 if missing[k] else 2.0) * ends[last, 1] else last
+    low, high = float(ends[first, 0]), float(ends[last, 1])
+    if missing[first] and last == first:
         words = f"no frequency lies between {low:.4g} and {high:.4g} Hz"
-        return f"{words}, and a resonance there might encircle -1 without a trace: measure there", (low, high)
-    if first.missing:
-        words = f"the lines between {low:.4g} and {high:.4g} Hz lie too far apart to show a resonance that encircles -1"
-        return f"{words}: measure finer there", (low, high)
-    words = f"the lines between {low:.4g} and {high:.4g} Hz are too uncertain to show whether L encircles -1 there"
+        return f"{words}, and a resonance there might encircle {point} without a trace: measure there", (low, high)
+    if missing[first]:
+        words = f"the lines between {low:.4g} and {high:.4g} Hz lie too far apart to show a resonance that encircles"
+        return f"{words} {point}: measure finer there", (low, high)
+    words = f"the lines between {low:.4g} and {high:.4g} Hz are too uncertain to show whether L encircles {point} there"
     return f"{words}: measure longer or excite more", (low, high)
+
+
+@dataclass(frozen=True, eq=False)
+class HiddenAmong:
+    """What holes between the lines of several loops leave open, (gaps,) each.
+
+    A resonance there moves det(I + L) by `moved` of its size at most, and I + L, in even units, by `spread` of its.
+    """
+
+    ends_hz: Array
+    moved: Array
+    spread: Array
+
+
+def hidden_among(loops: Loop) -> HiddenAmong | None:
+    """What may hide where lines of several loops are missing; None where none are."""
+    plant, f = loops.measured, loops.measured.frequency_hz
+    gaps = np.flatnonzero(_missing(f)) if f.size >= FEWEST else np.array([], dtype=int)
+    if not gaps.size:
+        return None
+    n = len(loops.controllers)
+    residue = np.zeros((gaps.size, n, n))
+    for i, k in np.ndindex(n, n):
+        variance = np.real(plant.variance[:, i, k])
+        known = np.maximum(variance, 1e-20 * np.max(np.abs(plant.response[:, i, k])) ** 2)
+        if np.any(known):
+            own = between_lines(f, plant.response[:, i, k], known, plant.variance_freedom).visible_residue.copy()
+            own[[0, -1]] = own[[1, -2]]  # at the ends no pole is looked for
+            residue[:, i, k] = own[gaps]
+    ends = np.stack([f[gaps], f[gaps + 1]], axis=1)
+    height = residue / (LEAST_DAMPING * np.sqrt(ends.prod(axis=1)))[:, None, None]
+    c = responses(loops.controllers, f)
+    CS = c[:, :, None] * sensitivity(plant.response * c[:, None, :])
+    size = np.maximum(np.abs(CS[gaps]), np.abs(CS[gaps + 1]))
+    rows, columns = channel_scales(plant.response)
+    even = rows[:, None] * columns
+    spread = np.linalg.norm(height * even, axis=(1, 2)) * np.linalg.norm(size / even.T, axis=(1, 2))
+    return HiddenAmong(ends, np.einsum("gij,gji->g", height, size), spread)
+
+
+def hole_among(loops: Loop) -> tuple[str, tuple[float, float]] | None:
+    """What is missing between the lines of several loops, in words, and the band in Hz to measure."""
+    f = loops.frequency_hz
+    if f.size < FEWEST:
+        return _too_few(loops)
+    size = np.linalg.norm(loops.determinant[:, None] - 1.0, axis=1)
+    wide = np.flatnonzero((f[1:] > APART * f[:-1]) & (np.maximum(size[1:], size[:-1]) > FAR))
+    if wide.size:
+        return _empty(float(f[wide[0]]), float(f[wide[0] + 1]))
+    hidden = hidden_among(loops)
+    hides = np.flatnonzero(hidden.moved > 1.0) if hidden is not None else np.array([], dtype=int)
+    if hidden is None or not hides.size:
+        return None
+    return _in_words(hidden.ends_hz, np.ones(len(hidden.moved), dtype=bool), hides, "-1")
+
+
+def _too_few(loop: Loop) -> tuple[str, tuple[float, float]]:
+    f = loop.frequency_hz
+    words = f"{f.size} frequencies are too few to show what lies between them ({FEWEST} at least)"
+    return words, (0.5 * float(f[0]), min(2.0 * float(f[-1]), 0.5 * loop.controllers[0].rate_hz))
+
+
+def _empty(low: float, high: float) -> tuple[str, tuple[float, float]]:
+    return f"no frequency lies between {low:.3g} and {high:.3g} Hz, where L may pass -1: measure there", (low, high)
 
 
 def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
@@ -154,13 +221,11 @@ def hole(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     """
     f, L = loop.frequency_hz, loop.L
     if f.size < FEWEST:
-        words = f"{f.size} frequencies are too few to show what lies between them ({FEWEST} at least)"
-        return words, (0.5 * float(f[0]), min(2.0 * float(f[-1]), 0.5 * loop.controller.rate_hz))
+        return _too_few(loop)
     near = _near(L)
     wide = np.flatnonzero((f[1:] > APART * f[:-1]) & near)
     if wide.size:
-        low, high = float(f[wide[0]]), float(f[wide[0] + 1])
-        return f"no frequency lies between {low:.3g} and {high:.3g} Hz, where L may pass -1: measure there", (low, high)
+        return _empty(float(f[wide[0]]), float(f[wide[0] + 1]))
     unseen = _unseen(loop)
     if unseen is not None:
         return unseen
