@@ -94,10 +94,12 @@ def is_told(loop: Loop) -> bool:
     models = low_models(loop)
     if loop.unstable_poles and loop.model is None:  # below the lines they may turn L once more about 0
         return any(is_simple(model) for model in models)
-    if loop.model is not None or models:
+    if loop.model is not None or any(model.knows_sign for model in models):
         return True
     lines = loop.measured
     phase, slope = low_order(lines)
+    if slope < (loop.integrators or 0) - TOL.integrators_agree:  # a zero below, on either side: the sign at 0 is open
+        return False
     if is_large(loop) and abs(phase - slope) < 1.0:  # no pair of poles lies below that the phase does not show
         return True
     return (
@@ -139,6 +141,33 @@ def lowest_count(f: Array) -> int:
     return min(max(4, int(np.searchsorted(f, 1.6 * f[0]))), f.size)
 
 
+def feeds_back_positively(loop: Loop) -> bool:
+    """Whether L goes to -k/s^n towards 0 Hz, n above 0: on a stable plant one closed-loop pole is real and positive.
+
+    For s > 0 the real 1 + L(s) goes from below 0, near s = 0, to 1. The lines must show it with |L| above 1, so that
+    a pair of a zero and a pole below them that turns the sign once more leaves the loop unstable too.
+    """
+    own = loop.controller.integrators()
+    if loop.unstable_poles != 0 or loop.model is not None or poles_at_0(loop) < 1 or abs(loop.L[0]) < 1.0:
+        return False
+    return sign_at_0(loop) * float((loop.controller.response(low_hz(loop)[:1]) * 1j**own)[0].real) < 0.0
+
+
+def sign_at_0(loop: Loop) -> int:
+    """Sign of k, as the plant goes as k/s^n towards 0 Hz: by models of the lowest lines, or by phase and slope there.
+
+    0 where they do not tell it.
+    """
+    if models := low_models(loop):
+        signs = {int(np.sign(model.num[0])) if model.knows_sign else 0 for model in models}
+        return signs.pop() if len(signs) == 1 else 0
+    phase, slope = low_order(loop.measured)
+    apart, agree = (phase - slope) % 4.0, TOL.integrators_agree
+    if abs(slope - (loop.integrators or 0)) > agree:
+        return 0
+    return -1 if abs(apart - 2.0) < agree else int(min(apart, 4.0 - apart) < agree)
+
+
 def room_of(lines: FRF) -> float:
     """How far slope and phase of the lowest lines may differ and still agree, by the scatter of the lines; below 1.
 
@@ -165,6 +194,8 @@ _FARTHEST, _FEWEST, _MOST = 4.0, 8, 60
 _KNOWN = 0.3
 #: B(0) is at most so many times what the first line shows, and no less than its inverse: else k is another number
 _AWAY = 5.0
+#: where B(0) is less than so many times that a zero lies below, and what so small a model rounds off tells its side
+_ZERO_BELOW = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +211,11 @@ class LowModel:
     den: Array
     influence: Array
     lines: int
+
+    @property
+    def knows_sign(self) -> bool:
+        """Whether no zero between 0 Hz and the first line makes the sign at 0 Hz a matter of its side."""
+        return bool(abs(self.num[0]) > _ZERO_BELOW * abs(_rational(np.array([1j]), self.num, self.den)[0]))
 
     def response(self, f: Array) -> ComplexArray:
         """P (n,) at frequencies f (n,) in Hz above zero."""

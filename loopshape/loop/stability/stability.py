@@ -26,6 +26,7 @@ from loopshape.loop.stability.low_end import (
     BELOW_RATIOS,
     below_lines,
     crossover_below,
+    feeds_back_positively,
     holds_below,
     in_sight,
     is_large,
@@ -67,7 +68,8 @@ def closed_loop_stability(loop: Loop) -> Stability:
     Integrators and unstable poles of the plant are the loop's word; a wrong word gives a wrong answer, and where it is
     missing nothing is decided. The
     contour passes integrators on the right. Below the lowest line the loop's model carries it; without one
-    L must start within 75 deg of where its integrators and unstable poles put it, at a positive leading gain.
+    L must start within 75 deg of where its integrators and unstable poles put it, at a positive leading gain; at a
+    negative one, over a stable plant, the loop is unstable.
     Undecided where it does not, where L is below 1 at the first line or not yet at the last, where 1 + L
     turns or bends too far between lines, where a resonance that hides between them might encircle -1, where -1 lies
     within the FRF's own 95 % reach, or where its errors together make the count wrong with a chance above 0.5 %.
@@ -90,6 +92,12 @@ def closed_loop_stability(loop: Loop) -> Stability:
         )
         return _undecided(reason, crossover_below(loop))
     poles = unstable_count(loop)
+    if (isinstance(poles, Undecided) or poles % 2 == 0) and feeds_back_positively(loop):
+        return Stability(
+            ClosedLoop.UNSTABLE, None,
+            f"the feedback is positive: towards 0 Hz L is -k/s^{poles_at_0(loop)}, k > 0 (phase"
+            f" {deg(np.angle(L[0])):.0f} deg at {f[0]:.3g} Hz); turn the controller's sign, by a gain of -1",
+        )  # fmt: skip
     if isinstance(poles, Undecided):
         return _undecided(poles.reason, poles.band_hz)
     if poles < 0:
@@ -190,7 +198,7 @@ def _obstacles(
     before = _before_first(path.L, poles_at_0(loop), odd, below[0] if below else np.zeros(0, dtype=complex))
     yield from obstacles(loop, path, between, 1.0 + before)
     if not (is_told(loop) or (poles is not None and holds_below(loop, poles))):
-        yield _unknown_below(loop)
+        yield _misfit(loop, poles_at_0(loop)) if poles is None else _unknown_below(loop)
 
 
 def _ways_below(loop: Loop) -> list[ComplexArray]:

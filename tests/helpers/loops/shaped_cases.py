@@ -26,7 +26,7 @@ def noisy(f_hz: np.ndarray, P: np.ndarray, share: float, name: str, seed: int) -
 
 def plants(kind: str) -> list[ls.FRF]:
     """Operating points of a kind: lags without an integrator, a sharp resonance, an exact line, a hidden resonance,
-    and lines with a wide hole among them, or so far apart that they hide anything."""
+    a reversed sign, and lines with a wide hole among them, or so far apart that they hide anything."""
     f = np.linspace(0.5, 200.0, 300) if kind in ("sharp", "hidden") else np.geomspace(0.5, 300.0, 160)
     f = np.geomspace(0.5, 300.0, 18) if kind == "sparse" else f[(f < 20.0) | (f > 27.0)] if kind == "hole" else f
     s = 2j * np.pi * f
@@ -39,6 +39,7 @@ def plants(kind: str) -> list[ls.FRF]:
             "minus": -0.5 * lag,
             "exact": lag,
             "sparse": lag,
+            "reversed": -20.0 * lag / s,
             "hole": lag,
             "sharp": lag + 0.02 * w**2 / (s**2 + 2 * 0.004 * w * s + w**2),
             "hidden": lag + 2e-4 * w**2 / (s**2 + 2 * 0.0006 * w * s + w**2),

@@ -280,6 +280,8 @@ def _low_end(loop: Loop) -> dict[str, Any]:
         "below": [packed(model.response(below_hz)) for model in models],
         "extrapolated": [_extrapolated(float(loop.frequency_hz[0]) * low_end.BELOW_RATIOS, model) for model in models],
         "simple": any(low_end.is_simple(model) for model in models),
+        "sign": low_end.sign_at_0(loop),
+        "knows_sign": any(model.knows_sign for model in models),
         "order": [*low_end.low_order(loop.measured), low_end.room_of(loop.measured)],
         "gaps": [_gap(gap) for gap in holes.gaps_of(loop)],
     }

@@ -129,6 +129,13 @@ def test_plants_that_ask_for_every_part(kind: str, context: Any, tmp_path: Path)
 
 
 @pytest.mark.long
+def test_a_plant_whose_sign_is_reversed(context: Any, tmp_path: Path) -> None:
+    frfs, R = shaped_cases.plants("reversed"), replace(WANTED, integrators=1)
+    assert not compared(context, tmp_path, frfs, LAGS, R, 3)
+    assert {m.stable for m in ls.check(frfs, LAGS, R).margins.values()} == {"unstable"}
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("name", shaped_cases.CROWDS)
 def test_resonances_close_together_are_followed_as_check_follows_them(name: str, context: Any, tmp_path: Path) -> None:
     """Gains at which they encircle -1, come near it, and stay clear of it."""

@@ -12,7 +12,7 @@ C = [ls.controller(ls.gain(g), rate_hz=RATE_HZ, loop=name) for name, g in (("a",
 
 
 def sampled(height: float) -> tuple[np.ndarray, np.ndarray]:
-    """A mass with friction and a mode of this peak, held over each sample (zero order): numerator and denominator in z."""
+    """A mass with friction and a mode of this peak, held over each sample: numerator and denominator in z."""
     w = 2 * np.pi * MODE_HZ
     mode = np.array([1.0, 2 * DAMPING * w, w**2])
     den = np.polymul([1.0, 400.0, 0.0], mode)
@@ -28,9 +28,7 @@ def case(f: np.ndarray, height: float) -> tuple[ls.FRF, float]:
     rng = np.random.default_rng(3)
     P = MIX[None] * G[:, None, None]
     noise = 0.02 * np.abs(P) * (rng.standard_normal(P.shape) + 1j * rng.standard_normal(P.shape)) / np.sqrt(2.0)
-    frf = ls.FRF.from_arrays(
-        f, P + noise, std=0.02 * np.abs(P), rate_hz=RATE_HZ, inputs=["a", "b"], outputs=["a", "b"]
-    )
+    frf = ls.FRF.from_arrays(f, P + noise, std=0.02 * np.abs(P), rate_hz=RATE_HZ, inputs=["a", "b"], outputs=["a", "b"])
     gains = np.diag([one.blocks[0].parameters["gain"] for one in C])
     polynomials = [np.polyadd(a, eigenvalue * b) for eigenvalue in np.linalg.eigvals(MIX @ gains)]
     return frf, max(np.abs(np.roots(one)).max() for one in polynomials)

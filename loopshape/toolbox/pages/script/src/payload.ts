@@ -184,6 +184,9 @@ export interface Point {
   below: Complex[];
   extrapolated: ExtrapolatedModel[];
   simple: boolean;
+  /** Sign of k, as the plant goes as k/s^n towards 0 Hz, 0 where it is not known; whether a model knows it. */
+  sign: number;
+  knows_sign: boolean;
   order: [number, number, number];
   gaps: Gap[];
   above_band: { f: Real; P: Complex; half_width: Real; known: boolean[] } | null;

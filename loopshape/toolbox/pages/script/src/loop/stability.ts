@@ -4,7 +4,7 @@
 import { clip, concat, deg, joined, magnitudes, placeIn, rint, steepness, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
-import { belowLines, chordsOf, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
+import { belowLines, chordsOf, feedsBackPositively, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
 import { aboveHz } from "./margins";
 import { normalBelow } from "../numbers/special";
 import type { Gap } from "../payload";
@@ -36,6 +36,13 @@ export function closedLoopStability(loop: Loop): Stability {
     );
   }
   const poles = unstableCount(loop, point.unstable_poles);
+  if ((typeof poles !== "number" || poles % 2 === 0) && feedsBackPositively(loop)) {
+    const phase = Math.round(deg(Math.atan2(L.im[0], L.re[0])));
+    const reason =
+      `the feedback is positive: towards 0 Hz L is -k/s^${loop.integrators}, k > 0 (phase ${phase} deg at ${short(f[0])} Hz);` +
+      " turn the controller's sign, by a gain of -1";
+    return { outcome: "unstable", reason, band_hz: null };
+  }
   if (typeof poles !== "number") return undecided(poles.reason, poles.band_hz);
   if (poles < 0) return undecided(`${-poles} encirclements too many for ${point.unstable_poles} unstable poles`);
   if (poles) return { outcome: "unstable", reason: `${poles} closed-loop poles in the right half plane`, band_hz: null };
@@ -74,7 +81,8 @@ function unstableCount(loop: Loop, unstable: number): number | Undecided {
   const between = pastResonances(loop);
   const poles = counted(loop, unstable, between, below);
   const known = isTold(loop) || (poles !== null && holdsBelow(loop, poles));
-  const found = doubtBelow(loop) ?? undecidedBy(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? (known ? null : unknownBelow(loop));
+  const untold = known ? null : poles === null ? misfit(loop) : unknownBelow(loop);
+  const found = doubtBelow(loop) ?? undecidedBy(loop, between, startOf(loop, below[0] ?? null, unstable)) ?? untold;
   return found ?? poles ?? misfit(loop);
 }
 
