@@ -248,6 +248,8 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None, raw: FRF
     if declared is not None:
         return declared, ""
     by_phase, by_slope = low_order(frf)
+    turned = abs((by_phase - by_slope) % 4.0 - 2.0) < TOL.integrators_agree
+    by_phase = (by_phase - 1.5) % 4.0 - 0.5 if turned else by_phase
     integrators = round(by_phase)
     if abs(by_phase - integrators) > 0.4 or abs(by_slope - integrators) > 0.5 or integrators < 0:
         return (
@@ -255,15 +257,16 @@ def _integrators(frf: FRF, requirements: Requirements, fit: Fit | None, raw: FRF
             f"the plant's lowest frequencies look like {by_phase:.1f} integrators by phase and {by_slope:.1f} by slope",
         )
     word = "integrator" if integrators == 1 else "integrators"
-    turns = any(model.num[0] < 0.0 for model in low_frequency_models(raw, integrators))
+    turns = any((model.num[0] < 0.0) != turned for model in low_frequency_models(raw, integrators))
     if integrators and (requirements.unstable_poles or turns):
         poles = "unstable poles" if requirements.unstable_poles else "lags"
         return None, (
             f"the plant's lowest frequencies look like {integrators} {word}, or like {poles} that lie below"
             " them: declare integrators"
         )
+    sign = " and a reversed sign" if turned else ""
     return integrators, (
-        f"plant taken to have {integrators} {word}, from its lowest frequencies: {by_phase:.1f} by phase,"
+        f"plant taken to have {integrators} {word}{sign}, from its lowest frequencies: {by_phase:.1f} by phase,"
         f" {by_slope:.1f} by slope at {frf.frequency_hz[0]:.3g} Hz; declare integrators if that is not so"
     )
 

@@ -97,7 +97,7 @@ def is_told(loop: Loop) -> bool:
     if loop.model is not None or any(model.knows_sign for model in models):
         return True
     lines = loop.measured
-    phase, slope = low_order(lines)
+    phase, slope = order_of(loop)
     if slope < (loop.integrators or 0) - TOL.integrators_agree:  # a zero below, on either side: the sign at 0 is open
         return False
     if is_large(loop) and abs(phase - slope) < 1.0:  # no pair of poles lies below that the phase does not show
@@ -147,10 +147,22 @@ def feeds_back_positively(loop: Loop) -> bool:
     For s > 0 the real 1 + L(s) goes from below 0, near s = 0, to 1. The lines must show it with |L| above 1, so that
     a pair of a zero and a pole below them that turns the sign once more leaves the loop unstable too.
     """
-    own = loop.controller.integrators()
     if loop.unstable_poles != 0 or loop.model is not None or poles_at_0(loop) < 1 or abs(loop.L[0]) < 1.0:
         return False
-    return sign_at_0(loop) * float((loop.controller.response(low_hz(loop)[:1]) * 1j**own)[0].real) < 0.0
+    return sign_at_0(loop) * (-1 if is_negative(loop) else 1) < 0
+
+
+@remembered
+def is_negative(loop: Loop) -> bool:
+    """Whether the controller goes as -k/s^n towards 0 Hz."""
+    lowest = loop.controller.response(low_hz(loop)[:1]) * 1j ** loop.controller.integrators()
+    return bool(lowest[0].real < 0.0)
+
+
+def order_of(loop: Loop) -> tuple[float, float]:
+    """`low_order` of the plant, its sign turned where the controller's is: what counts is that of both together."""
+    phase, slope = low_order(loop.measured)
+    return (phase - 1.5) % 4.0 - 0.5 if is_negative(loop) else phase, slope
 
 
 def sign_at_0(loop: Loop) -> int:

@@ -33,7 +33,7 @@ from loopshape.loop.stability.low_end import (
     is_told,
     low_hz,
     low_models,
-    low_order,
+    order_of,
     poles_at_0,
 )
 from loopshape.loop.stability.obstacles import Sampling, Undecided, obstacles, sampling
@@ -216,7 +216,7 @@ def swing_near(loop: Loop) -> float:
     """
     C = loop.controller.response(np.append(low_hz(loop), loop.frequency_hz[0]))
     turn = np.unwrap(np.angle(C))
-    phase, slope = low_order(loop.measured)
+    phase, slope = order_of(loop)
     agree = abs(phase - slope) < TOL.integrators_agree
     more = max(round(slope - (loop.integrators or 0)), 0) if agree and not loop.unstable_poles else 0
     return float(turn[-1] - turn[0] - 0.5 * np.pi * more)

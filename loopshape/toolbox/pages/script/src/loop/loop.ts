@@ -191,18 +191,30 @@ export function isTold(loop: Loop): boolean {
   const fitted = point.fitted_f.length > 0;
   if (point.unstable_poles && !fitted) return point.simple;
   if (fitted || point.knows_sign) return true;
-  const [phase, slope, room] = point.order;
+  const [[phase, slope], room] = [orderOf(loop), point.order[2]];
   if (slope < (point.integrators ?? 0) - agree) return false; // a zero below, on either side: the sign at 0 is open
   if (isLarge(loop) && Math.abs(phase - slope) < 1) return true;
   return integrators >= 0 && Math.abs(phase - slope) < room && slopeOf(loop) > -agree;
 }
 
 /** Whether L goes to -k/s^n towards 0 Hz over a stable plant (`feeds_back_positively`). */
-export function feedsBackPositively({ point, controller, integrators, L }: Loop): boolean {
+export function feedsBackPositively(loop: Loop): boolean {
+  const { point, integrators, L } = loop;
   if (point.unstable_poles !== 0 || point.fitted_f.length || integrators < 1 || Math.hypot(L.re[0], L.im[0]) < 1) return false;
+  return point.sign * (isNegative(loop) ? -1 : 1) < 0;
+}
+
+/** Whether the controller goes as -k/s^n towards 0 Hz (`is_negative`). */
+const isNegative = once(({ point, controller, integrators }: Loop): boolean => {
   const C = control.response(controller, point.below_f.subarray(0, 1));
   const own = (((integrators - (point.integrators ?? 0)) % 4) + 4) % 4;
-  return point.sign * [C.re[0], -C.im[0], -C.re[0], C.im[0]][own] < 0;
+  return [C.re[0], -C.im[0], -C.re[0], C.im[0]][own] < 0;
+});
+
+/** Order by phase and slope of the lowest lines, the plant's sign turned where the controller's is (`order_of`). */
+export function orderOf(loop: Loop): [number, number] {
+  const [phase, slope] = loop.point.order;
+  return [isNegative(loop) ? ((((phase - 1.5) % 4) + 4) % 4) - 0.5 : phase, slope];
 }
 
 /** Whether a count has the right outcome where the lowest lines leave open how L goes on below them (`holds_below`). */

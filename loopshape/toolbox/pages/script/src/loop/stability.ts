@@ -4,7 +4,7 @@
 import { clip, concat, deg, joined, magnitudes, placeIn, rint, steepness, times, TWO_PI, type Complex, type Real } from "../numbers/arrays";
 import { pastResonances, short, type Undecided, type Past } from "./between";
 import * as control from "../numbers/controller";
-import { belowLines, chordsOf, feedsBackPositively, holdsBelow, inSight, isLarge, isTold, type Loop } from "./loop";
+import { belowLines, chordsOf, feedsBackPositively, holdsBelow, inSight, isLarge, isTold, orderOf, type Loop } from "./loop";
 import { aboveHz } from "./margins";
 import { normalBelow } from "../numbers/special";
 import type { Gap } from "../payload";
@@ -108,11 +108,12 @@ function waysBelow(loop: Loop): Complex[] {
 }
 
 /** Angle in rad from the phase of L's integrators to that at its first line: the controller's, and poles' below it. */
-export function swingNear({ point, controller, f, plant }: Loop): number {
+export function swingNear(loop: Loop): number {
+  const { point, controller, f, plant } = loop;
   const C = control.response(controller, concat(point.below_f, f.subarray(0, 1)));
   let turn = 0;
   for (let k = 1; k < C.re.length; k++) turn += angleOf(C.re[k], C.im[k], C.re[k - 1], C.im[k - 1]);
-  const [phase, slope] = point.order;
+  const [phase, slope] = orderOf(loop);
   const known = !point.unstable_poles && Math.abs(phase - slope) < plant.source.constants.agree;
   const more = known ? Math.max(rint(slope - (point.integrators ?? 0)), 0) : 0;
   return turn - 0.5 * Math.PI * more;
