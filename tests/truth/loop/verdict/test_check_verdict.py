@@ -234,14 +234,16 @@ def seen(model, f=F):
     return replace(arm("seen", f=f), response=model.response(f)[:, None, None])
 
 
+@pytest.mark.parametrize("gain", [5.0, -5.0])
 @pytest.mark.parametrize("integrators", [0, 1, 2, 3])
-def test_phase_and_slope_of_the_lowest_lines_tell_the_integrators(integrators):
-    model = TransferFunction([5.0], np.append([0.01, 1.0], np.zeros(integrators)))
+def test_phase_and_slope_of_the_lowest_lines_tell_the_integrators_and_the_sign(integrators, gain):
+    model = TransferFunction([gain], np.append([0.01, 1.0], np.zeros(integrators)))
     (loop,), notes = loops_of([seen(model)], controller(), wish(integrators=None))
     assert loop.integrators == integrators
     (note,) = notes
     assert note.startswith(
-        f"plant taken to have {integrators} integrator{'s' * (integrators != 1)}, from its lowest frequencies"
+        f"plant taken to have {integrators} integrator{'s' * (integrators != 1)}"
+        f"{' and a reversed sign' * (gain < 0.0)}, from its lowest frequencies"
     )
     found = re.search(r"(\S+) by phase, (\S+) by slope at \S+ Hz; declare integrators", note)
     assert [float(x) for x in found.groups()] == pytest.approx([integrators, integrators], abs=0.15)
@@ -250,7 +252,6 @@ def test_phase_and_slope_of_the_lowest_lines_tell_the_integrators(integrators):
 UNCLEAR = {
     "a lag at its corner, phase and slope half way": (TransferFunction([5.0], [1.0 / (TWO_PI * 0.12), 1.0]), 0.5, 0.5),
     "a delay, phase of an integrator without its slope": (TransferFunction([5.0], [1.0], 1.6), 0.8, 0.0),
-    "a negative gain, phase of two integrators": (TransferFunction([-5.0], [0.01, 1.0]), 2.0, 0.0),
 }
 
 
