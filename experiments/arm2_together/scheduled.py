@@ -11,10 +11,10 @@ import loopshape as ls
 from loopshape.core.units import deg
 from loopshape.data.control.block import BlockTemplate
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.io.requirements import read_requirements
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import header, measure
+from loopshape.toolbox.schedules.gain_scheduled import GainScheduled
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))

@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from loopshape.core.units import db
-from loopshape.data.control.gain_scheduled import GainScheduled
 from loopshape.data.result.verdict import Verdict
+from loopshape.toolbox.schedules.gain_scheduled import GainScheduled
 from loopshape.view.labels import quantity, symbol
 from loopshape.view.style import COLOURS, FULL_WIDTH_IN, MARKERS, axes_or_new, head, shades, styled
 

@@ -41,7 +41,9 @@ class Toolbox:
     `readers` lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name;
     `loopshape import` uses them. `writers` lead from the name of a noun's class ("FRF") to a function that takes a path
     and the noun, for `loopshape.write`. `formats` lead from the first words of a file (`format = "mine/1"`) to a
-    function that takes its path and the folder of a run, and gives the noun: of it a block diagram is found. `parts`
+    function that takes its path and the folder of a run, and gives the noun: of it a block diagram is found.
+    `controllers` lead from the key that makes a controller's table another kind ("nodes") to the class that reads it,
+    in any file of ours. `parts`
     lead from a section's title to a function that takes the report of a run and gives its HTML, or None. A noun with
     a method `figure` is drawn by `loopshape.plot`. `looks` lead from a kind of remark to a function that takes a run,
     its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them. `pictures`
@@ -59,6 +61,7 @@ class Toolbox:
     readers: Mapping[str, str] = field(default_factory=dict)
     writers: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, str] = field(default_factory=dict)
+    controllers: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
     looks: Mapping[str, str] = field(default_factory=dict)
     pictures: Mapping[str, str] = field(default_factory=dict)

@@ -162,7 +162,7 @@ def _marked(hint: Any, converter: Any) -> Callable[[Any, Any], Any]:
 
     def taken(value: Any, _: Any) -> Any:
         kind = next(kind for kind in kinds if getattr(kind, "MARK", None) in (None, *_table(value)))
-        return converter.structure(value, kind)
+        return converter.structure(value, kind.read_by() if hasattr(kind, "read_by") else kind)
 
     return taken
 

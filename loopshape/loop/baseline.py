@@ -10,7 +10,7 @@ from statistics import NormalDist
 import numpy as np
 
 from loopshape.core.outcomes import Change, ClosedLoop
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import LIMIT_OF, Limit
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.baseline import Comparison, LineChange, MarginChange, StabilityChange
@@ -98,9 +98,8 @@ def same_controllers(one: Verdict, other: Verdict) -> bool:
 
 
 def _same(one: object, other: object) -> bool:
-    if isinstance(one, GainScheduled) and isinstance(other, GainScheduled):
-        nodes = zip(one.controllers, other.controllers, strict=False)
-        return one.variables == other.variables and one.lag_s == other.lag_s and all(_same(*pair) for pair in nodes)
+    if isinstance(one, Scheduled) and isinstance(other, Scheduled):
+        return (one.rate_hz, one.to_table()) == (other.rate_hz, other.to_table())
     return type(one) is type(other) and vars(one) == vars(other)
 
 

@@ -12,7 +12,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.outcomes import Convergence
 from loopshape.core.units import db, from_db
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF, Hold
 from loopshape.data.response.model import Fit
@@ -34,7 +34,7 @@ MORE_THAN_NOISE = "leaves more than noise"
 
 def loops_of(
     frfs: Sequence[FRF],
-    scheduled: Controller | GainScheduled,
+    scheduled: Controller | Scheduled,
     requirements: Requirements,
     fits: Sequence[Fit] = (),
     *,
@@ -298,7 +298,7 @@ class Closed(NamedTuple):
     """Loops that are closed: their part of each FRF and, in its order, controllers, and the recordings' or none."""
 
     frfs: tuple[FRF, ...]
-    controllers: tuple[Controller | GainScheduled, ...]
+    controllers: tuple[Controller | Scheduled, ...]
     recorded_under: tuple[Controller, ...]
 
     @property
@@ -309,7 +309,7 @@ class Closed(NamedTuple):
 
 def closed_loops(
     frfs: Sequence[FRF],
-    controllers: Sequence[Controller | GainScheduled],
+    controllers: Sequence[Controller | Scheduled],
     loops: Sequence[str] | None = None,
     recorded_under: Sequence[Controller] = (),
 ) -> Closed:

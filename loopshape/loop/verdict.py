@@ -12,7 +12,7 @@ from loopshape.core.errors import WrongUseError
 from loopshape.core.outcomes import Outcome
 from loopshape.core.units import db
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import LIMITS, TOGETHER, Limit, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
@@ -74,7 +74,7 @@ class LoopCheck:
         """What is required of one loop; None where nothing was given."""
         return (*self.requirements, None)[0]
 
-    def under(self, controllers: Sequence[Controller | GainScheduled]) -> Verdict:
+    def under(self, controllers: Sequence[Controller | Scheduled]) -> Verdict:
         """The verdict on other controllers of the same loops."""
         alone = all(frf.response.shape[1:] == (1, 1) for frf in self.frfs)
         closed = None if alone else [one.loop for one in controllers]
@@ -86,7 +86,7 @@ class LoopCheck:
 
 def check_loops(
     frfs: Sequence[FRF],
-    controllers: Controller | GainScheduled | Sequence[Controller | GainScheduled],
+    controllers: Controller | Scheduled | Sequence[Controller | Scheduled],
     requirements: Requirements | Sequence[Requirements] = (),
     fits: Sequence[Fit] = (),
     *,
@@ -113,7 +113,7 @@ def check_loops(
     disturbs some of several loops alone, limits on singular values where outputs have different units.
     """
     asked = (requirements,) if isinstance(requirements, Requirements) else tuple(requirements)
-    every = (controllers,) if isinstance(controllers, Controller | GainScheduled) else tuple(controllers)
+    every = (controllers,) if isinstance(controllers, Controller | Scheduled) else tuple(controllers)
     if not frfs:
         names = ", ".join(repr(one.loop) for one in asked or every)
         raise WrongUseError(f"there is no FRF of loop {names} to check", "", "measure or import one")
@@ -156,7 +156,7 @@ def _kept(found: Verdict, closed: Closed) -> Verdict:
 
 def _check_one(
     frfs: Sequence[FRF],
-    controller: Controller | GainScheduled,
+    controller: Controller | Scheduled,
     requirements: Requirements,
     fits: Sequence[Fit],
     *,
@@ -171,7 +171,7 @@ def _check_one(
     disturbed = of_points(named, disturbances)
     found, made = verdict_on(named, requirements, detuned=alone, disturbances=disturbed)
     notes += disturbance_warnings(named, made, requirements)
-    if isinstance(controller, GainScheduled):
+    if isinstance(controller, Scheduled):
         notes += (FROZEN,)
     found = with_warnings(found, loops, requirements, notes)
     return (with_orders(found, loops, frfs, requirements) if alone else found), tuple(loops)
@@ -222,7 +222,7 @@ def _refuse_mixed(together: Requirements, found: Mapping[str, Margins]) -> None:
             )
 
 
-def refuse_too_high(requirements: Requirements, controller: Controller | GainScheduled) -> None:
+def refuse_too_high(requirements: Requirements, controller: Controller | Scheduled) -> None:
     """Refuse a high-frequency limit on |CS| that begins where the controller cannot be read any more."""
     from_hz = requirements.control_high_frequency_from_hz
     if from_hz is not None and from_hz >= 0.45 * controller.rate_hz:

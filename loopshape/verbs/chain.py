@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypedDict, Unpack, overload
 from loopshape.core.errors import WrongUseError, refuse_unknown_keys
 from loopshape.data.control.block import BlockTemplate
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.control.shorthand import bounded
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
@@ -211,7 +211,7 @@ def tune(
 
 def check(
     P: Plants,
-    C: Controller | GainScheduled | Tuning | Sequence[Controller | GainScheduled | Tuning],
+    C: Controller | Scheduled | Tuning | Sequence[Controller | Scheduled | Tuning],
     R: Requirements | Sequence[Requirements] | None = None,
     *,
     fits: Sequence[Fit] = (),
@@ -251,7 +251,7 @@ def check(
     from loopshape.loop.verdict import check as check_loops
 
     given = C if isinstance(C, Sequence) else (C,)
-    own = [one if isinstance(one, GainScheduled) else controller_of(one) for one in given]
+    own = [one if isinstance(one, Scheduled) else controller_of(one) for one in given]
     asked, together = required_of(R, together)
     if len(own) == 1 and len(asked) < 2:
         plants, one = equivalent_plants(P, asked[0] if asked else Requirements(own[0].loop))

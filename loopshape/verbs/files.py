@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
@@ -130,7 +130,7 @@ def copy_examples(to: str | Path) -> list[Path]:
 def write(
     what: Run
     | Controller
-    | GainScheduled
+    | Scheduled
     | Tuning
     | FRF
     | Fit
@@ -138,7 +138,7 @@ def write(
     | Profile
     | Requirements
     | Verdict
-    | Sequence[Controller | GainScheduled | Tuning | Fit | Prediction | Profile | Requirements | Verdict],
+    | Sequence[Controller | Scheduled | Tuning | Fit | Prediction | Profile | Requirements | Verdict],
     path: str | Path,
 ) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
@@ -172,7 +172,7 @@ def write(
 
 #: the nouns of a file, its ending, and what writes them
 _WRITERS: tuple[tuple[type | tuple[type, ...], str, str], ...] = (
-    ((Controller, GainScheduled), ".toml", "loopshape.io.write.controllers:write_controllers"),
+    ((Controller, Scheduled), ".toml", "loopshape.io.write.controllers:write_controllers"),
     (Requirements, ".toml", "loopshape.io.requirements:write_requirements"),
     (Profile, ".toml", "loopshape.io.requirements:write_profiles"),
     (Prediction, ".npz", "loopshape.io.write.predictions:write_predictions"),

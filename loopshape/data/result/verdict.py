@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from loopshape.data.control.controller import Controller
-    from loopshape.data.control.gain_scheduled import GainScheduled
+    from loopshape.data.control.scheduled import Scheduled
 
 
 class SettledBy(StrEnum):
@@ -131,7 +131,7 @@ class Verdict(Plain):
     warnings: tuple[str, ...] = ()
     each: tuple[Verdict, ...] = ()
     orders: tuple[Order, ...] = ()
-    controllers: tuple[Controller | GainScheduled, ...] = ()
+    controllers: tuple[Controller | Scheduled, ...] = ()
     data: Mapping[str, str] = field(default_factory=dict)
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.signal.channel import Channel, sum_terms
 
 KINDS = ("sweep", "multisine", "prbs", "noise", "staircase", "profile", "open_loop", "none")
@@ -49,7 +49,7 @@ class LoopSetup:
     control: str
     output: str
     controller: Controller | None
-    schedule: GainScheduled | None = None
+    schedule: Scheduled | None = None
     decoupling: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

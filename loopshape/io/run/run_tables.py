@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import product
 from typing import Any, ClassVar
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.toolboxes import found, function_at
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import LAG_S, GainScheduled, Variable
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.experiment import LoopSetup, shared_unit
 from loopshape.data.signal.recording import RecordingInfo
@@ -22,55 +22,22 @@ from loopshape.io.schema import keys, read, table_of
 CONTROLLER_KEYS = tuple(key for key in keys(Controller) if key != "name")
 
 
-@dataclass(frozen=True)
-class Node:
-    """A node of a schedule: where it lies, and the controller there."""
-
-    at: tuple[float, ...]
-    controller: Controller
-
-
-@dataclass(frozen=True)
 class Schedule:
-    """A schedule's table: a controller in each node of a grid, in any order; their other keys stand once."""
+    """A controller's table with `nodes`, which a toolbox reads."""
 
-    name: str
-    over: tuple[Variable, ...]
-    nodes: tuple[Node, ...]
-    lag_s: float = LAG_S
     MARK: ClassVar = "nodes"
-    ALSO_READ: ClassVar = tuple(key for key in CONTROLLER_KEYS if key != "controller")
 
-    @classmethod
-    def unfolded(cls, table: Mapping[str, Any]) -> dict[str, Any]:
-        """The table with whole controllers in its nodes."""
-        own = dict(table)
-        shared = {key: own.pop(key) for key in (*cls.ALSO_READ, "rate_hz") if key in own}
-        shared |= {"name": own.get("name")}
-        if isinstance(own["nodes"], list):
-            own["nodes"] = [_whole(node, shared) for node in own["nodes"]]
-        return own
-
-    def made(self) -> GainScheduled:
-        """The schedule, its controllers in the order of the grid."""
-        placed = {node.at: node.controller for node in self.nodes}
-        wanted = list(product(*(v.knots for v in self.over)))
-        if set(placed) != set(wanted):
-            odd = sorted(set(placed) ^ set(wanted))[0]
-            raise WrongUseError(
-                "the nodes of a schedule are all that its knots make, and no other",
-                f"{'none' if odd in wanted else 'one'} at {', '.join(f'{x:g}' for x in odd)}",
-                "write one controller for each",
-            )
-        return GainScheduled(self.name, self.over, tuple(placed[x] for x in wanted), self.lag_s)
+    @staticmethod
+    def read_by() -> type:
+        """What reads it; refuses it where no toolbox does."""
+        if (place := found().all("controllers").get(Schedule.MARK)) is None:
+            raise WrongUseError("a schedule is read by a toolbox", "none is installed", "install all of loopshape")
+        kind: type = function_at(place)
+        return kind
 
 
-def _whole(node: Any, shared: Mapping[str, Any]) -> Any:
-    has = isinstance(node, dict) and "controller" in node
-    return node | {"controller": {**shared, "controller": node["controller"]}} if has else node
-
-
-SCHEDULE_KEYS = tuple(key for key in keys(Schedule) if key not in ("name", *CONTROLLER_KEYS))
+#: keys of a schedule's table, beside those of a controller
+SCHEDULE_KEYS = ("over", "nodes", "lag_s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +68,7 @@ class LoopTable:
         """The loop; refuses `computation_delay_s` and `added_hold`, which the recorded plant contains."""
         plain_name(self.name, "the name of a loop")
         one: Any = self.controller
-        schedule = one if isinstance(one, GainScheduled) else None
+        schedule = one if isinstance(one, Scheduled) else None
         own = None if one is None or schedule else _recorded(one)
         loop = LoopSetup(**{**vars(self), "controller": own, "schedule": schedule})
         _ = loop.output_unit  # refuses a sum of different units
@@ -113,20 +80,6 @@ def controller_table(controller: Controller) -> dict[str, Any]:
     own = table_of(controller)
     blocks = own.pop("controller")
     return {key: own[key] for key in CONTROLLER_KEYS if key in own} | {"controller": blocks}
-
-
-def schedule_table(schedule: GainScheduled) -> dict[str, Any]:
-    """The keys of a schedule beside the name of its loop."""
-    shared = controller_table(schedule.controllers[0])
-    del shared["controller"]
-    nodes = zip(schedule.nodes, schedule.controllers, strict=True)
-    return shared | {
-        "lag_s": schedule.lag_s,
-        "over": [table_of(v) for v in schedule.variables],
-        "nodes": [
-            {"at": list(at.values()), "controller": [block.to_table() for block in one.blocks]} for at, one in nodes
-        ],
-    }
 
 
 def _recorded(controller: Controller) -> Controller:
@@ -162,7 +115,7 @@ def loop_table(loop: LoopSetup) -> dict[str, Any]:
     own = {key: getattr(loop, key) for key in ("name", "reference", "injected", "control", "output")}
     table: dict[str, Any] = own | ({"decoupling": dict(loop.decoupling)} if loop.decoupling else {})
     if loop.schedule is not None:
-        return table | schedule_table(loop.schedule)
+        return table | loop.schedule.to_table()
     if loop.controller is None:
         return table
     with said_in(f"loop {loop.name!r}"):

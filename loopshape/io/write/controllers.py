@@ -11,10 +11,10 @@ from loopshape import __version__
 from loopshape.core.errors import WrongUseError
 from loopshape.core.gate import Positive
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.io.config_table import read_file, refuse_doubles
 from loopshape.io.files import write_toml
-from loopshape.io.run.run_tables import Schedule, controller_table, schedule_table
+from loopshape.io.run.run_tables import Schedule, controller_table
 from loopshape.io.schema import beside
 
 FORMAT = "loopshape-controllers/1"
@@ -27,21 +27,13 @@ def read_controllers(path: Path) -> tuple[Controller, ...]:
     """
     found = read_loop_controllers(path)
     plain = tuple(one for one in found if isinstance(one, Controller))
-    if scheduled := [one.loop for one in found if isinstance(one, GainScheduled)]:
+    if scheduled := [one.loop for one in found if isinstance(one, Scheduled)]:
         raise WrongUseError(
             f"{path.name} holds a schedule, and one controller for each loop is needed here",
             ", ".join(scheduled),
             "take the controller of one operating point: ls.schedules.read_gain_scheduled(file)[0].at(point)",
         )
     return plain
-
-
-def read_gain_scheduled(path: Path) -> tuple[GainScheduled, ...]:
-    """The schedules of a controller file; refuses a file without any, and what `read_loop_controllers` refuses."""
-    found = tuple(one for one in read_loop_controllers(path) if isinstance(one, GainScheduled))
-    if not found:
-        raise WrongUseError(f"{path.name} holds no schedule", "plain controllers", "read them as controllers")
-    return found
 
 
 @dataclass(frozen=True)
@@ -61,7 +53,7 @@ class ControllersFile:
         return {**table, "loop": [beside(one, rate_hz=table.get("rate_hz")) for one in loops]}
 
 
-def read_loop_controllers(path: Path) -> tuple[Controller | GainScheduled, ...]:
+def read_loop_controllers(path: Path) -> tuple[Controller | Scheduled, ...]:
     """What a controller file holds, one controller or schedule for each loop."""
     found: Any = read_file(path, ControllersFile, FORMAT).loop
     if not found:
@@ -71,7 +63,7 @@ def read_loop_controllers(path: Path) -> tuple[Controller | GainScheduled, ...]:
 
 
 def write_controllers(
-    path: Path, controllers: Sequence[Controller | GainScheduled], notes: Mapping[str, Any] | None = None
+    path: Path, controllers: Sequence[Controller | Scheduled], notes: Mapping[str, Any] | None = None
 ) -> None:
     """Write controllers and schedules whole; `notes` is any table worth keeping (where they come from, what was asked).
 
@@ -94,5 +86,5 @@ def write_controllers(
     )
 
 
-def _table(one: Controller | GainScheduled) -> dict[str, Any]:
-    return schedule_table(one) if isinstance(one, GainScheduled) else controller_table(one)
+def _table(one: Controller | Scheduled) -> dict[str, Any]:
+    return one.to_table() if isinstance(one, Scheduled) else controller_table(one)

@@ -10,13 +10,13 @@ from typing import Any
 from loopshape import __version__
 from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import LIMIT_OF
 from loopshape.data.result.margins import IN_EVERY_FILE, Margins
 from loopshape.data.result.verdict import Order, RequirementResult, Verdict
 from loopshape.io.config_table import refuse_doubles
 from loopshape.io.files import make_folder, read_json, reading, write_json
-from loopshape.io.run.run_tables import Schedule, schedule_table
+from loopshape.io.run.run_tables import Schedule
 from loopshape.io.schema import read, table_of
 
 FORMAT = "loopshape-verdict/3"
@@ -59,9 +59,9 @@ def _table(one: Verdict, whole: bool = True) -> dict[str, Any]:
     }
 
 
-def _controller(one: Controller | GainScheduled) -> dict[str, Any]:
-    if isinstance(one, GainScheduled):
-        return {"name": one.loop, "rate_hz": one.rate_hz, **schedule_table(one)}
+def _controller(one: Controller | Scheduled) -> dict[str, Any]:
+    if isinstance(one, Scheduled):
+        return {"name": one.loop, "rate_hz": one.rate_hz, **one.to_table()}
     return table_of(one)
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.gain_scheduled import Follows
 from loopshape.data.signal.experiment import Experiment, LoopSetup, decoupling_matrix, shared_unit
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.arm.dynamics import closed_loop as kernel
 from loopshape.toolbox.gap.noise import start_state
 from loopshape.toolbox.gap.nouns.plant import ParameterTable
+from loopshape.toolbox.schedules.gain_scheduled import Follows, GainScheduled
 
 #: what drives an arm: its controllers, what goes in, and the pulses
 Driven = tuple[kernel.Controllers, kernel.Inputs, kernel.Pwm]
@@ -175,8 +175,9 @@ def controllers(e: Experiment) -> kernel.Controllers:
     loops = e.loops
     signals = [(loop.name, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in loops]
     plain = kernel.plain_controllers(*(sections(loop, e) for loop in loops))
-    made = tuple(loop.schedule.tables(signals) if loop.schedule else plain.schedules[0] for loop in loops)
-    scheduled = np.array([loop.schedule is not None for loop in loops])
+    own = [loop.schedule for loop in loops]
+    made = tuple(one.tables(signals) if isinstance(one, GainScheduled) else plain.schedules[0] for one in own)
+    scheduled = np.array([one is not None for one in own])
     return plain._replace(schedules=made, scheduled=scheduled, decoupling=decoupling_matrix(loops))
 
 

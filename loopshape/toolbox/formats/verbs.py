@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from loopshape.core.errors import WrongUseError, refuse_unknown_keys
 from loopshape.data.arrays import real_array
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.response.frf import FRF
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import Tuning
@@ -49,7 +49,7 @@ def read_frf(file: str | Path, **stated: Any) -> FRF:
 
 
 def export(
-    controllers: Controller | GainScheduled | Tuning | Diagram | Sequence[Controller | GainScheduled],
+    controllers: Controller | Scheduled | Tuning | Diagram | Sequence[Controller | Scheduled],
     folder: str | Path,
     to: str,
     limits: OutputLimits | None = None,
@@ -72,7 +72,7 @@ def export(
 
         return export_diagram(Path(folder), controllers, to)
     one = controllers.controller if isinstance(controllers, Tuning) else controllers
-    every = (one,) if isinstance(one, Controller | GainScheduled) else tuple(one)
+    every = (one,) if isinstance(one, Controller | Scheduled) else tuple(one)
     return export_controllers(Path(folder), every, to, limits)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.signal.experiment import ExperimentSettings, LoopSetup
 from loopshape.toolbox.diagrams.wired import Wired
 from loopshape.toolbox.rig.excitation.excitation import Excitation
@@ -129,7 +129,7 @@ class Study:
     effects: Mapping[str, float] = field(default_factory=dict)
     pwm: Mapping[str, float] = field(default_factory=dict)
     controllers: Mapping[str, tuple[Block, ...]] = field(default_factory=dict)
-    schedules: Mapping[str, GainScheduled] = field(default_factory=dict)
+    schedules: Mapping[str, Scheduled] = field(default_factory=dict)
     decoupling: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     extra: Mapping[str, Any] = field(default_factory=dict)
     target: TargetSettings | None = None

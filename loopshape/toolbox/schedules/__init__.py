@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from loopshape.core.toolboxes import Command, Toolbox
 
 if TYPE_CHECKING:
-    from loopshape.data.control.gain_scheduled import GainScheduled as GainScheduled
+    from loopshape.toolbox.schedules.gain_scheduled import GainScheduled as GainScheduled
     from loopshape.toolbox.schedules.verbs import gain_scheduled as gain_scheduled
     from loopshape.toolbox.schedules.verbs import read_gain_scheduled as read_gain_scheduled
     from loopshape.toolbox.schedules.verbs import schedule as schedule
@@ -28,10 +28,11 @@ TOOLBOX = Toolbox(
         ),
     ),
     names={
-        "GainScheduled": "loopshape.data.control.gain_scheduled",
+        "GainScheduled": "loopshape.toolbox.schedules.gain_scheduled",
         "gain_scheduled": "loopshape.toolbox.schedules.verbs",
         "read_gain_scheduled": "loopshape.toolbox.schedules.verbs",
         "schedule": "loopshape.toolbox.schedules.verbs",
     },
+    controllers={"nodes": "loopshape.toolbox.schedules.table:ScheduleTable"},
     pictures={"atlas": "loopshape.toolbox.schedules.atlas:sensitivity_atlas"},
 )

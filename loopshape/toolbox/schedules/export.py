@@ -1,7 +1,7 @@
 """A schedule out to the target: JSON (`loopshape-schedule/1`), or a C99 header that is C++ too.
 
 Both hold six coefficients of each section at each node; what runs between is their linear interpolation over the
-fourth, as `loopshape.core.kernels.scheduled` has it, operation for operation.
+fourth, as `loopshape.toolbox.schedules.kernel` has it, operation for operation.
 """
 
 from __future__ import annotations
@@ -11,8 +11,9 @@ from typing import Any
 
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.toolbox.formats.controllers.controller_words import comment, identifier
+from loopshape.toolbox.schedules.gain_scheduled import GainScheduled
 
 FORMAT = "loopshape-schedule/1"
 FORM = "direct form I, coefficients interpolated over a0"
@@ -172,9 +173,10 @@ WRITERS: dict[str, tuple[str, Callable[[GainScheduled], str | dict[str, Any]]]] 
 }
 
 
-def schedule_file(one: GainScheduled, to: str) -> tuple[str, str | dict[str, Any]]:
+def schedule_file(one: Scheduled, to: str) -> tuple[str, str | dict[str, Any]]:
     """Name and content of a schedule's file; refuses a format that has no schedules."""
     if to not in WRITERS:
         raise WrongUseError("a schedule is not written in every format", repr(to), f"use {' or '.join(WRITERS)}")
     ending, write = WRITERS[to]
+    assert isinstance(one, GainScheduled)
     return f"{identifier(one.loop)}{ending}", write(one)

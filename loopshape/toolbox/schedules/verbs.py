@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import LAG_S, Follows, GainScheduled, Variable
 from loopshape.data.control.shorthand import bounded
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.model import Fit
 from loopshape.design.tune import Tuning
+from loopshape.toolbox.schedules.gain_scheduled import LAG_S, Follows, GainScheduled, Variable
 from loopshape.verbs.arguments import Plants, controller_of, equivalent_plants
 
 if TYPE_CHECKING:
@@ -105,6 +105,10 @@ def read_gain_scheduled(file: str | Path) -> tuple[GainScheduled, ...]:
     >>> ls.schedules.read_gain_scheduled(ls.write(C, f"{tempfile.mkdtemp()}/controller.toml"))[0].nodes[1]
     {'p_bar': 1.4}
     """
-    from loopshape.io.write.controllers import read_gain_scheduled as read_file
+    from loopshape.io.write.controllers import read_loop_controllers
 
-    return read_file(Path(file))
+    path = Path(file)
+    found = tuple(one for one in read_loop_controllers(path) if isinstance(one, GainScheduled))
+    if not found:
+        raise WrongUseError(f"{path.name} holds no schedule", "plain controllers", "read them as controllers")
+    return found

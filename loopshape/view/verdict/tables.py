@@ -17,7 +17,7 @@ from loopshape.data.result.verdict_words import (
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
-    from loopshape.data.control.gain_scheduled import GainScheduled
+    from loopshape.data.control.scheduled import Scheduled
     from loopshape.data.requirement.profile import Profile
     from loopshape.data.result.baseline import Comparison, LineChange, MarginChange
     from loopshape.data.result.detuning import Reach
@@ -91,7 +91,7 @@ def lost_text(margins: Margins) -> str:
     return ", ".join(lost) if margins.loops else crossings_text(margins)
 
 
-def phase_budget_tables(verdict: Verdict, controller: Controller | GainScheduled) -> Iterator[Table]:
+def phase_budget_tables(verdict: Verdict, controller: Controller | Scheduled) -> Iterator[Table]:
     """What each block costs in degrees where the phase margin is least; nothing where no |L| crosses 0 dB."""
     seen = {name: m for name, m in verdict.margins.items() if m["phase_margin_deg"].at_hz is not None}
     if not seen or controller.loop != verdict.loop or not hasattr(controller, "phase_budget"):

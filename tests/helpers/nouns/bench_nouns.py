@@ -2,7 +2,6 @@
 
 from loopshape.data.control.block import Block, BlockTemplate, Free
 from loopshape.data.control.controller import Precision
-from loopshape.data.control.gain_scheduled import Follows, GainScheduled, Variable
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
@@ -25,9 +24,7 @@ __all__ = [
     "Detuning",
     "Estimate",
     "Experiment",
-    "Follows",
     "Free",
-    "GainScheduled",
     "Indicators",
     "Integrator",
     "Loop",
@@ -44,5 +41,4 @@ __all__ = [
     "Step",
     "ThirdOrder",
     "TransferFunction",
-    "Variable",
 ]

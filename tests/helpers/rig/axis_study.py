@@ -4,19 +4,19 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from bench_nouns import Follows, LoopSetup
+from bench_nouns import LoopSetup
 from python_target import Board, Target
 from python_target_machine import Axes
 
 import loopshape as ls
 from loopshape.cli.output import Output
-from loopshape.core.kernels import scheduled
 from loopshape.toolbox.gap.noise import start_state
 from loopshape.toolbox.rig.described import DescribedRig
 from loopshape.toolbox.rig.files.study import read_study
 from loopshape.toolbox.rig.simulated import experiment as experiment_of
 from loopshape.toolbox.rig.simulated import plan
 from loopshape.toolbox.rig.verbs.machine import ended_early, measure
+from loopshape.toolbox.schedules import gain_scheduled, kernel
 
 RATE_HZ = 1000.0
 LOOP = """
@@ -139,11 +139,11 @@ def simulated(study: Path, name: str, count: int = 1, coupling: float = 0.1) -> 
 def controller_of(loop: LoopSetup, names: list[str]) -> Callable[[list[float], float], float]:
     """From references and outputs of all loops, and this one's error, to its z, tick by tick."""
     if loop.schedule is not None:
-        tables = loop.schedule.tables([(name, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for name in names])
+        tables = loop.schedule.tables([(name, what) for what in gain_scheduled.Follows for name in names])
 
         def scheduled_step(signals: list[float], x: float) -> float:
-            scheduled.follow(tables, np.array(signals))
-            return scheduled.step(tables, x)
+            kernel.follow(tables, np.array(signals))
+            return kernel.step(tables, x)
 
         return scheduled_step
     sections = loop.controller.biquads().tolist()

@@ -4,11 +4,10 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from bench_nouns import Follows, GainScheduled
 from scipy.signal import lfilter
 
 import loopshape as ls
-from loopshape.core.kernels import scheduled
+from loopshape.toolbox.schedules import gain_scheduled, kernel
 
 RATE_HZ = 1000.0
 
@@ -18,19 +17,19 @@ def node(gain: float, lead_hz: float, notch_hz: float, low_hz: float = 15.0) -> 
     return ls.controller(*blocks, rate_hz=RATE_HZ, loop="theta")
 
 
-def over_two(*controllers: ls.Controller, lag_s: float = 0.0) -> GainScheduled:
+def over_two(*controllers: ls.Controller, lag_s: float = 0.0) -> ls.schedules.GainScheduled:
     points = [{"theta_deg": t, "p_bar": p} for t in (-30.0, 30.0) for p in (0.8, 1.4)]
     return ls.schedules.gain_scheduled(
         controllers, points, {"theta_deg": "theta", "p_bar": ("p", "output")}, lag_s=lag_s
     )
 
 
-def tables(C: GainScheduled) -> scheduled.Scheduled:
-    return C.tables([("theta", Follows.REFERENCE), ("p", Follows.OUTPUT)])
+def tables(C: ls.schedules.GainScheduled) -> kernel.Scheduled:
+    return C.tables([("theta", gain_scheduled.Follows.REFERENCE), ("p", gain_scheduled.Follows.OUTPUT)])
 
 
-def ran(C: GainScheduled, theta_deg: np.ndarray, p_bar: np.ndarray, error: np.ndarray) -> np.ndarray:
-    return scheduled.run(tables(C), np.stack([np.radians(theta_deg), p_bar], axis=1), error)
+def ran(C: ls.schedules.GainScheduled, theta_deg: np.ndarray, p_bar: np.ndarray, error: np.ndarray) -> np.ndarray:
+    return kernel.run(tables(C), np.stack([np.radians(theta_deg), p_bar], axis=1), error)
 
 
 def test_at_a_frozen_point_it_is_the_interpolated_controller():
@@ -106,6 +105,6 @@ def test_an_integrator_keeps_its_output_when_the_operating_point_jumps():
     n = 4000
     error = np.where(np.arange(2 * n) < 1000, 1.0, 0.0)  # then the integrator holds
     signals = np.where(np.arange(2 * n) < n, 0.8, 1.4)[:, None]
-    out = scheduled.run(C.tables([("p", Follows.REFERENCE)]), signals, error)
+    out = kernel.run(C.tables([("p", gain_scheduled.Follows.REFERENCE)]), signals, error)
     assert out[n - 1] > 1.0
     np.testing.assert_allclose(out[n - 1 :], out[n - 1], rtol=1e-9)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from loopshape.core.kernels import biquads, scheduled
+from loopshape.core.kernels import biquads
 from loopshape.core.kernels.compiled import compiled
 from loopshape.core.units import Array
 from loopshape.toolbox.arm.dynamics import memory, model, valves
@@ -23,6 +23,7 @@ from loopshape.toolbox.arm.dynamics.pwm import is_open
 from loopshape.toolbox.arm.effect import effect_parameters as e
 from loopshape.toolbox.arm.parameters import Sensors
 from loopshape.toolbox.gap import noise
+from loopshape.toolbox.schedules import kernel as scheduled
 
 EDGES, GRID = 0, 1
 COMPLETE, LEFT_ANGLE, LEFT_PRESSURE, NOT_FINITE = 0, 1, 2, 3

@@ -12,7 +12,7 @@ from loopshape.toolbox.rig.commands.measure import StudyFile
 
 if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
-    from loopshape.data.control.gain_scheduled import GainScheduled
+    from loopshape.data.control.scheduled import Scheduled
     from loopshape.toolbox.formats.controllers.limited import OutputLimits
 
 BACK = "back_calculation"
@@ -99,7 +99,7 @@ def export_controller(
 
 def _written(
     controller: Path, to: str, out: Path, diagram: Path | None, run: Path | None, limits: str | None, anti_windup: str
-) -> tuple[dict[Controller | GainScheduled, Path], Path | None]:
+) -> tuple[dict[Controller | Scheduled, Path], Path | None]:
     """Each controller's file, and that of the diagram that leads from one to the other."""
     from loopshape.core.errors import WrongUseError
     from loopshape.io.write.check_files import controller_of

@@ -28,7 +28,7 @@ import numpy as np
 from loopshape import __version__
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.io.files import make_folder, write_bytes_whole, write_json, write_text_whole
 from loopshape.toolbox.formats.controllers.controller_c import c_text
 from loopshape.toolbox.formats.controllers.controller_foton import foton_text
@@ -44,7 +44,7 @@ FORMAT = "loopshape-biquads/1"
 
 
 def export_controllers(
-    folder: Path, controllers: Sequence[Controller | GainScheduled], to: str, limits: OutputLimits | None = None
+    folder: Path, controllers: Sequence[Controller | Scheduled], to: str, limits: OutputLimits | None = None
 ) -> tuple[Path, ...]:
     """Write each controller or schedule to `folder` in a format of `WRITERS`; returns the files, in order.
 
@@ -56,12 +56,12 @@ def export_controllers(
     refuse_unknown("a format for controllers is not known", to, WRITERS)
     if not controllers:
         raise WrongUseError("there is no controller to export", "an empty list")
-    if limits is not None and (to not in LIMITED or any(isinstance(one, GainScheduled) for one in controllers)):
+    if limits is not None and (to not in LIMITED or any(isinstance(one, Scheduled) for one in controllers)):
         raise WrongUseError(
             "limits of the output leave with single controllers in some formats alone", to,
             f"use {', '.join(LIMITED)}, or limit where the controller runs",
         )  # fmt: skip
-    made = [schedule_file(one, to) if isinstance(one, GainScheduled) else _file(one, to, limits) for one in controllers]
+    made = [schedule_file(one, to) if isinstance(one, Scheduled) else _file(one, to, limits) for one in controllers]
     names = [name for name, _ in made]
     for k, name in enumerate(names):
         if name.casefold() in (other.casefold() for other in names[:k]):

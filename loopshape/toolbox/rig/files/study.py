@@ -44,12 +44,12 @@ from typing import Any
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.control.controller import Block
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.signal.experiment import INJECTIONS, KINDS, ROLES
 from loopshape.io.config_table import ConfigTable, read_words, refuse_doubles, said_in
 from loopshape.io.files import inside, plain_name
 from loopshape.io.provenance import file_sha256
-from loopshape.io.run.run_tables import SCHEDULE_KEYS, Schedule, read_loops
+from loopshape.io.run.run_tables import SCHEDULE_KEYS, read_loops
 from loopshape.io.schema import read
 from loopshape.toolbox.learning.files import read_feedforward
 from loopshape.toolbox.rig.excitation.excitation import Excitation
@@ -57,6 +57,7 @@ from loopshape.toolbox.rig.files.excitation_sets import together
 from loopshape.toolbox.rig.files.signals import read_excitation, read_excitations, read_setpoints
 from loopshape.toolbox.rig.files.target import read_escalation, read_limits, read_target
 from loopshape.toolbox.rig.study import FORMAT, ExperimentTemplate, Setpoint, Study, expanded
+from loopshape.toolbox.schedules.table import ScheduleTable
 
 _KEYS = (
     "format", "rig", "plant", "rate_hz", "seed", "solver", "operating_points", "parameters", "effects", "pwm",
@@ -156,11 +157,11 @@ def _refuse_both(table: ConfigTable) -> None:
         raise WrongUseError(f"{table.where}: a loop has a controller or a schedule", "both", "write one of them")
 
 
-def _schedules(words: ConfigTable, rate_hz: float) -> dict[str, GainScheduled]:
+def _schedules(words: ConfigTable, rate_hz: float) -> dict[str, Scheduled]:
     keys = ("name", *SCHEDULE_KEYS)
     own = [(t, {key: t.table[key] for key in keys if key in t.table}) for t in words.tables("loop")]
-    made: dict[str, Any] = {t.text("name"): read(Schedule, x, t.where, rate_hz=rate_hz) for t, x in own if "nodes" in x}
-    return made
+    made: Any = {t.text("name"): read(ScheduleTable, x, t.where, rate_hz=rate_hz) for t, x in own if "nodes" in x}
+    return dict(made)
 
 
 def _experiments(

@@ -10,8 +10,9 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import Array
-from loopshape.data.control.gain_scheduled import Follows, GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.toolbox.rig.target.frames import LONGEST_PAYLOAD
+from loopshape.toolbox.schedules.gain_scheduled import Follows, GainScheduled
 
 ROWS_A_FRAME = (LONGEST_PAYLOAD - 4) // 48
 
@@ -30,8 +31,9 @@ class Scheduling:
     rows: Array
 
     @classmethod
-    def of(cls, one: GainScheduled, loops: Sequence[str]) -> Scheduling:
+    def of(cls, one: Scheduled, loops: Sequence[str]) -> Scheduling:
         """A schedule for a target that closes these loops. Refuses a variable that follows none of them."""
+        assert isinstance(one, GainScheduled)
         if unknown := sorted({v.loop for v in one.variables} - set(loops)):
             raise WrongUseError(
                 f"the schedule of loop {one.loop!r} follows a loop that is not there",

@@ -11,7 +11,7 @@ from typing import Any
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.interrupts import interrupts
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.signal.run import Run
 from loopshape.io.provenance import KEY, file_sha256, versions
@@ -40,7 +40,7 @@ def measure(
     study: str | Path,
     out: str | Path,
     *,
-    controllers: Iterable[Controller | GainScheduled] = (),
+    controllers: Iterable[Controller | Scheduled] = (),
     decoupling: Mapping[str, Mapping[str, float]] | None = None,
     diagram: Wired | None = None,
     effects: Sequence[str] = (),
@@ -157,7 +157,7 @@ class Target:
         self,
         study: str | Path,
         *,
-        controllers: Iterable[Controller | GainScheduled] = (),
+        controllers: Iterable[Controller | Scheduled] = (),
         diagram: Wired | None = None,
         verdict: str | Path | None = None,
         allow_unverified: bool = False,
@@ -221,7 +221,7 @@ def emulator(
 
 
 def asked_study(
-    file: Path, controllers: Iterable[Controller | GainScheduled], effects: Sequence[str]
+    file: Path, controllers: Iterable[Controller | Scheduled], effects: Sequence[str]
 ) -> tuple[Study, Rig]:  # fmt: skip
     """A study with what replaces its own, and its plant."""
     study = read_study(file)
@@ -246,11 +246,11 @@ def ended_early(run: Run) -> list[str]:
     return [f"{r.info.name}: {r.info.ended_early}" for r in run.recordings if r.info.ended_early]
 
 
-def with_controllers(study: Study, controllers: Iterable[Controller | GainScheduled]) -> Study:
+def with_controllers(study: Study, controllers: Iterable[Controller | Scheduled]) -> Study:
     """The study with these controllers and schedules in place of its own, by loop."""
     given = tuple(controllers)
     blocks = blocks_of((one for one in given if isinstance(one, Controller)), study.rate_hz)
-    scheduled = {one.loop: one for one in given if isinstance(one, GainScheduled)}
+    scheduled = {one.loop: one for one in given if isinstance(one, Scheduled)}
     for one in scheduled.values():
         blocks_of(one.controllers[:1], study.rate_hz)
     kept = {loop: one for loop, one in study.schedules.items() if loop not in blocks}

@@ -15,7 +15,7 @@ from loopshape.core.errors import LoopshapeError, WrongUseError
 from loopshape.core.interrupts import interrupts, unhurried
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Controller
-from loopshape.data.control.gain_scheduled import GainScheduled
+from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.channel import sum_terms
 from loopshape.data.signal.experiment import Experiment, LoopSetup
@@ -156,8 +156,8 @@ def _verdict_doubt(
     return None if kept.passed else f"loop {loop.name}: the verdict in {file.name} is {kept.outcome}"
 
 
-def _runs_the_same(theirs: Controller | GainScheduled, ours: Controller | None) -> bool:
-    if ours is None or isinstance(theirs, GainScheduled):
+def _runs_the_same(theirs: Controller | Scheduled, ours: Controller | None) -> bool:
+    if ours is None or isinstance(theirs, Scheduled):
         return False
     return theirs.rate_hz == ours.rate_hz and np.array_equal(theirs.biquads(), ours.biquads())
 

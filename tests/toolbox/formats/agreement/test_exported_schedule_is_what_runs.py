@@ -8,10 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_nouns import Follows
 
 import loopshape as ls
-from loopshape.core.kernels import scheduled
+from loopshape.toolbox.schedules import gain_scheduled, kernel
 
 DRIVER = """
 #include "controller_theta.h"
@@ -41,8 +40,8 @@ def moving() -> tuple[ls.schedules.GainScheduled, np.ndarray, np.ndarray, np.nda
     t = np.arange(3000) / 1000.0
     at = np.stack([50.0 * np.sin(3.0 * t), 1.1 + 0.4 * np.cos(2.0 * t)], axis=1)
     error = np.random.default_rng(3).standard_normal(t.size)
-    tables = C.tables([("theta", Follows.REFERENCE), ("p", Follows.REFERENCE)])
-    answer = scheduled.run(tables, np.stack([np.radians(at[:, 0]), at[:, 1]], axis=1), error)
+    tables = C.tables([("theta", gain_scheduled.Follows.REFERENCE), ("p", gain_scheduled.Follows.REFERENCE)])
+    answer = kernel.run(tables, np.stack([np.radians(at[:, 0]), at[:, 1]], axis=1), error)
     return C, error, at, answer
 
 

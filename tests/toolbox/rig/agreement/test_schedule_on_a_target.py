@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from axis_study import experiment, measured, simulated, study_text, table, target, write_study
-from bench_nouns import Follows, Variable
 from emulated_cases import ARM_ON_A_TARGET, emulator, excited, record, settings
 from python_target_line import Running
 from python_target_schedule import Schedule
@@ -14,16 +13,16 @@ from target_cases import GAIN, LIMITS, MIXING, OUTPUTS, Bench, built
 from two_targets import Second
 
 import loopshape as ls
-from loopshape.core.kernels import scheduled
 from loopshape.toolbox.rig.target.messages import Configuration, Identity, Request
 from loopshape.toolbox.rig.target.scheduling import Scheduling
 from loopshape.toolbox.rig.target.target import configuration
+from loopshape.toolbox.schedules import gain_scheduled, kernel
 
 SAME = 1e-12  # of a column's largest value, as of a controller that stays as it is
-SIGNALS = [(loop, what) for what in (Follows.REFERENCE, Follows.OUTPUT) for loop in ("theta2", "p_ab")]
+SIGNALS = [(loop, what) for what in gain_scheduled.Follows for loop in ("theta2", "p_ab")]
 OVER_BOTH = (
-    Variable("theta2_deg", (-10.0, 4.0, 15.0), "theta2"),
-    Variable("p_ab_bar", (0.9, 1.2), "p_ab", Follows.OUTPUT),
+    gain_scheduled.Variable("theta2_deg", (-10.0, 4.0, 15.0), "theta2"),
+    gain_scheduled.Variable("p_ab_bar", (0.9, 1.2), "p_ab", gain_scheduled.Follows.OUTPUT),
 )
 WIDE = np.array([[-1e6, 1e6, np.inf]] * 5)
 
@@ -70,8 +69,11 @@ def port():
 @pytest.mark.parametrize(
     "schedules",
     [
-        [schedule("theta2", (Variable("theta2_deg", (-10.0, 4.0, 15.0), "theta2"),))],
-        [schedule("theta2", OVER_BOTH), schedule("p_ab", (Variable("p_ab_bar", (0.95, 1.1), "p_ab"),), 0.0, 0.2, 1)],
+        [schedule("theta2", (gain_scheduled.Variable("theta2_deg", (-10.0, 4.0, 15.0), "theta2"),))],
+        [
+            schedule("theta2", OVER_BOTH),
+            schedule("p_ab", (gain_scheduled.Variable("p_ab_bar", (0.95, 1.1), "p_ab"),), 0.0, 0.2, 1),
+        ],
     ],
     ids=["one variable", "both loops"],
 )
@@ -95,9 +97,9 @@ def test_other_injections_too(arm, arm_experiment, port, injection):
 
 
 THREE = (
-    Variable("theta2_deg", (-20.0, 0.0, 10.0, 40.0), "theta2", Follows.OUTPUT),
-    Variable("p_ab_bar", (0.8, 1.3), "p_ab", Follows.OUTPUT),
-    Variable("set_rad", (0.1,), "theta2"),
+    gain_scheduled.Variable("theta2_deg", (-20.0, 0.0, 10.0, 40.0), "theta2", gain_scheduled.Follows.OUTPUT),
+    gain_scheduled.Variable("p_ab_bar", (0.8, 1.3), "p_ab", gain_scheduled.Follows.OUTPUT),
+    gain_scheduled.Variable("set_rad", (0.1,), "theta2"),
 )
 
 
@@ -130,15 +132,15 @@ def test_the_c_core_is_the_target_in_python_to_the_last_bit_and_the_kernel(lag_s
     np.testing.assert_array_equal(
         samples[:, 4], [second.step(s, x) for s, x in zip(signals.tolist(), e.tolist(), strict=True)]
     )
-    kernel = scheduled.run(one.tables(SIGNALS), signals, e)
-    np.testing.assert_allclose(samples[:, 4], kernel, rtol=0.0, atol=1e-9 * np.abs(kernel).max())  # it may contract
+    expected = kernel.run(one.tables(SIGNALS), signals, e)
+    np.testing.assert_allclose(samples[:, 4], expected, rtol=0.0, atol=1e-9 * np.abs(expected).max())  # it may contract
     assert signals[:, 2].min() < np.radians(-20.0)
     assert signals[:, 2].max() > np.radians(40.0)
 
 
 def two_variables(loops=2):
     """A small schedule for either target: two nodes, three sections."""
-    one = schedule("axis", (Variable("axis_rad", (0.0, 1.0), "axis"),), blocks=0)
+    one = schedule("axis", (gain_scheduled.Variable("axis_rad", (0.0, 1.0), "axis"),), blocks=0)
     return Scheduling.of(one, ("axis", "other")[:loops])
 
 
@@ -266,7 +268,7 @@ def test_both_targets_with_schedules_say_so(either):
 
 def test_a_schedule_that_follows_a_loop_that_is_not_there_is_refused():
     with pytest.raises(ls.errors.WrongUseError, match="follows a loop that is not there; received elbow"):
-        Scheduling.of(schedule("theta2", (Variable("x", (0.0, 1.0), "elbow"),)), ("theta2", "p_ab"))
+        Scheduling.of(schedule("theta2", (gain_scheduled.Variable("x", (0.0, 1.0), "elbow"),)), ("theta2", "p_ab"))
 
 
 def test_knots_beyond_a_message_are_refused():

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise, permutations, product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from loopshape.data.control.block import Block, Section
 from loopshape.data.control.controller import Controller, tustin
 
 if TYPE_CHECKING:
-    from loopshape.core.kernels.scheduled import Scheduled
+    from loopshape.toolbox.schedules.kernel import Scheduled
 
 #: time constant in s of the lag behind which the scheduling variables act, where none is given
 LAG_S = 0.1
@@ -178,7 +178,7 @@ class GainScheduled:
 
         Without signals for what needs no variable.
         """
-        from loopshape.core.kernels.scheduled import Scheduled
+        from loopshape.toolbox.schedules.kernel import Scheduled
 
         known = list(signals)
         picks = np.zeros((len(self.variables), len(known)))
@@ -198,6 +198,12 @@ class GainScheduled:
             knots, np.array(self.shape, dtype=np.int64), self.coefficients, picks, self.share,
             np.full(len(self.variables), np.nan), np.zeros((n, 5)), np.zeros((n + 1, 2)),
         )  # fmt: skip
+
+    def to_table(self) -> dict[str, Any]:
+        """The keys of its table in a file, beside the name of its loop and the rate."""
+        from loopshape.toolbox.schedules.table import schedule_table
+
+        return schedule_table(self)
 
     @property
     def share(self) -> float:
@@ -226,7 +232,7 @@ class GainScheduled:
 
     def _weights(self, at: Sequence[float]) -> dict[int, float]:
         """Weight of each node that counts at a place of the variables."""
-        from loopshape.core.kernels.scheduled import interval
+        from loopshape.toolbox.schedules.kernel import interval
 
         sides = []
         for v, value in zip(self.variables, at, strict=True):
@@ -243,7 +249,7 @@ class GainScheduled:
 
 def _step_of(table: Scheduled, before: int, after: int) -> float:
     """Change of the output within a tick as one node's coefficients become another's, at a constant input of 1."""
-    from loopshape.core.kernels.scheduled import step
+    from loopshape.toolbox.schedules.kernel import step
 
     value = 1.0
     table.past[0] = value
