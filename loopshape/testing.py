@@ -22,11 +22,11 @@ from pathlib import Path
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.requirement.requirements import TOGETHER
+from loopshape.data.result.baseline import Baseline
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import line_text, stability_text
 from loopshape.io.requirements import read_required
-from loopshape.io.write.check_files import Baseline, Checks, against, check_all
-from loopshape.view.verdict.tables import comparison_text
+from loopshape.io.write.check_files import Checks, against, check_all
 
 AnyPath = str | PathLike[str]
 STABILITY, ALL = "stability", "all loops"
@@ -99,7 +99,7 @@ class ControllerTest:
     def message(self, compared: Baseline | None = None) -> str:
         """All verdicts, and the comparison with a baseline, as a failed test shows them."""
         parts = {} if compared is None else compared.parts
-        texts = [comparison_text(title, one) for title, one in parts.items()]
+        texts = [one.text(title) for title, one in parts.items()]
         return "\n".join([f"{self.controller} on {self.run}", *map(str, self.verdicts), *texts])
 
 

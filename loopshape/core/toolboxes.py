@@ -16,6 +16,8 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
+from loopshape.core.errors import WrongUseError
+
 GROUP = "loopshape.toolboxes"
 
 
@@ -43,7 +45,8 @@ class Toolbox:
     and the noun, for `loopshape.write`. `formats` lead from the first words of a file (`format = "mine/1"`) to a
     function that takes its path and the folder of a run, and gives the noun: of it a block diagram is found.
     `controllers` lead from the key that makes a controller's table another kind ("nodes") to the class that reads it,
-    in any file of ours. `parts`
+    in any file of ours. `comparisons` lead from what was kept ("verdict") to a function that takes its file and what
+    a check found now, and gives a `Baseline`. `parts`
     lead from a section's title to a function that takes the report of a run and gives its HTML, or None. A noun with
     a method `figure` is drawn by `loopshape.plot`. `looks` lead from a kind of remark to a function that takes a run,
     its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them. `pictures`
@@ -62,6 +65,7 @@ class Toolbox:
     writers: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, str] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
+    comparisons: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
     looks: Mapping[str, str] = field(default_factory=dict)
     pictures: Mapping[str, str] = field(default_factory=dict)
@@ -119,3 +123,11 @@ def function_at(place: str) -> Any:
     """What stands at "module:function"."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
+
+
+def needed(what: str, key: str, does: str, received: str) -> Any:
+    """The function of a toolbox that cannot be done without: what it `does`; refuses where none has it."""
+    if (place := found().all(what).get(key)) is None:
+        way_out = "install loopshape whole, or leave it out"
+        raise WrongUseError(f"no toolbox of this installation {does}", received, way_out)
+    return function_at(place)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import ParamSpec
 
 import numpy as np
@@ -20,7 +21,6 @@ from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.data.result.verdict_words import detuning_warnings
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.loop.baseline import data_mark
 from loopshape.loop.detuning import with_detuning
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import Closed, closed_loops, equivalent_plants, loops_of, matrix_loops, points_of
@@ -152,6 +152,20 @@ def _kept(found: Verdict, closed: Closed) -> Verdict:
     data = dict(zip(found.margins, map(data_mark, closed.frfs), strict=True))
     each = tuple(replace(one, controllers=closed.controllers, data=data) for one in found.each)
     return replace(found, each=each, controllers=closed.controllers, data=data)
+
+
+def data_mark(frf: FRF) -> str:
+    """A short mark of lines and response to about six figures.
+
+    Unlike `FRF.digest` it survives the last digits, which differ from processor to processor when the same recording
+    is estimated again.
+    """
+    size = np.abs(frf.response)
+    turn = np.round(frf.response / np.where(size > 0.0, size, 1.0), 5)
+    numbers = (*frf.frequency_hz.tolist(), *size.ravel().tolist())
+    turns = (*(turn.real.ravel() + 0.0).tolist(), *(turn.imag.ravel() + 0.0).tolist())  # + 0: no negative zero
+    text = " ".join(["%.6g"] * len(numbers) + ["%.5f"] * len(turns)) % (*numbers, *turns)
+    return sha256(text.encode()).hexdigest()[:16]
 
 
 def _check_one(

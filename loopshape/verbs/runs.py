@@ -26,9 +26,10 @@ from loopshape.verbs import chain
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
+    from loopshape.data.result.baseline import Baseline
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
-    from loopshape.io.write.check_files import Baseline, Checks
+    from loopshape.io.write.check_files import Checks
 
 
 def fit(

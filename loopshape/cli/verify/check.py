@@ -147,9 +147,9 @@ def report_comparisons(comparisons: Mapping[str, Comparison], output: Output, *,
     """What became of a baseline: outcomes that changed, then margins that did, then what lies underneath."""
     for title, comparison in comparisons.items():
         if not details:
-            output.paragraph(tables.comparison_text(title, comparison))
+            output.paragraph(comparison.text(title))
             continue
-        output.tables(tables.comparison_tables(title, comparison))
+        output.tables(comparison.tables(title))
         for line in comparison.remarks:
             output.say(line)
         output.say(f"{title}: {comparison.counts}\n")

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from loopshape.core.errors import WrongUseError
-from loopshape.core.toolboxes import found, function_at
+from loopshape.core.toolboxes import needed
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.signal.channel import sum_terms
@@ -30,9 +30,7 @@ class Schedule:
     @staticmethod
     def read_by() -> type:
         """What reads it; refuses it where no toolbox does."""
-        if (place := found().all("controllers").get(Schedule.MARK)) is None:
-            raise WrongUseError("a schedule is read by a toolbox", "none is installed", "install all of loopshape")
-        kind: type = function_at(place)
+        kind: type = needed("controllers", Schedule.MARK, "reads a schedule", "nodes")
         return kind
 
 

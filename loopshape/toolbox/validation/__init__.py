@@ -1,6 +1,6 @@
 """Whether a measurement bears a prediction out: predictions and a run under their controllers come in, or two FRFs.
 
-Comparisons of S, steps and profiles go out, each confirmed, refuted or undecided.
+Comparisons of S, steps and profiles go out, each confirmed, refuted or undecided; and what became of a kept verdict.
 """
 
 from __future__ import annotations
@@ -19,5 +19,6 @@ TOOLBOX = Toolbox(
             30,
         ),
     ),
+    comparisons={"verdict": "loopshape.toolbox.validation.kept.against:against"},
     verbs={"compare": "loopshape.toolbox.validation.verbs"},
 )

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
-from loopshape.core.outcomes import Change, Outcome
+from loopshape.core.outcomes import Outcome
 from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import line_text, stability_text
-from loopshape.view.verdict.tables import change_text, line_change_words
 
 #: a failure's type by outcome
 _TYPES = {Outcome.FAILED: "missed", Outcome.UNDECIDED: "undecided"}
@@ -46,24 +45,9 @@ def _add_verdict(suites: ET.Element, verdict: Verdict) -> None:
 
 def _add_comparison(suites: ET.Element, comparison: Comparison, allow_worse: bool) -> None:
     suite = ET.SubElement(suites, "testsuite", name="baseline")
-    fails = None if allow_worse else "worse"
-    for line in comparison.lines:
-        was, required, now, wishes = line_change_words(line)
-        text = f"{was} ({required}) to {now} ({wishes})"
-        _add_case(suite, f"baseline.{line.loop}", f"outcome of {line.quantity}", text, fails if line.worse else None)
-    for s in comparison.stabilities:
-        text = f"{s.before} to {s.now}: {s.reason}"
-        name = f"stability in {s.recording}"
-        _add_case(suite, f"baseline.{s.loop}", name, text, fails if s.worse else None)
-    for name in comparison.gone:
-        _add_case(suite, "baseline", f"{name} is there", "the baseline has it, this check does not", fails)
-    for change in comparison.margins:
-        failure = fails if change.outcome is Change.WORSE else None
-        name = f"{change.quantity} in {change.recording}"
-        _add_case(suite, f"baseline.{change.loop}", name, change_text(change), failure)
-    ET.SubElement(suite, "system-out").text = _clean(
-        "\n".join([*comparison.notes, *(f"new: {name}" for name in comparison.new)])
-    )
+    for one in comparison.cases():
+        _add_case(suite, one.where, one.name, one.text, "worse" if one.worse and not allow_worse else None)
+    ET.SubElement(suite, "system-out").text = _clean("\n".join(comparison.beside))
 
 
 def _add_case(suite: ET.Element, where: str, name: str, text: str, failure: str | None) -> None:

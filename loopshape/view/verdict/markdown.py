@@ -11,7 +11,6 @@ from loopshape.data.result.baseline import Comparison
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.result.verdict_words import PRINTED, known_limits, number, row_of, stability_text, unstable_text
-from loopshape.view.verdict.tables import comparison_tables
 
 #: what Markdown or GitHub's reader would take for more than a letter
 _MARKS = re.compile(r"[\\`*\[\]|~$<>]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])|^(?:#+|[+-]|\d+[.)])(?= )")
@@ -59,7 +58,7 @@ def _requirements(verdict: Verdict) -> list[str]:
 
 
 def _comparison(title: str, comparison: Comparison) -> list[str]:
-    parts = [_table(columns, rows) for _, columns, rows in comparison_tables(title, comparison)]
+    parts = [_table(columns, rows) for _, columns, rows in comparison.tables(title)]
     notes = "\n".join(f"- {_escaped(note)}" for note in comparison.remarks)
     return [f"### {_escaped(title)}: {comparison.counts}", *parts, notes]
 

@@ -10,7 +10,6 @@ from loopshape.data.result.verdict_words import (
     Notation,
     crossings_text,
     known_limits,
-    row_of,
     unstable_text,
     verdict_rows,
 )
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from loopshape.data.control.controller import Controller
     from loopshape.data.control.scheduled import Scheduled
     from loopshape.data.requirement.profile import Profile
-    from loopshape.data.result.baseline import Comparison, LineChange, MarginChange
     from loopshape.data.result.detuning import Reach
     from loopshape.data.result.margins import Margins
     from loopshape.data.result.verdict import Verdict
@@ -124,50 +122,3 @@ def detuning_rows(
 def _reach(reach: Reach, breaks: str) -> str:
     """How far frequencies may move one way, and what breaks there: "1.2 % (phase_margin_deg)", "> 20 %"."""
     return f"> {reach.percent:.4g} %" if reach.beyond else f"{reach.percent:.3g} % ({breaks})"
-
-
-def comparison_tables(title: str, comparison: Comparison) -> Iterator[Table]:
-    """What became of a baseline: outcomes that changed, then margins that did."""
-    lines = [[x.quantity, x.loop, *line_change_words(x)] for x in comparison.lines]
-    lines += [[f"stability in {s.recording}", s.loop, s.before, "-", s.now, s.reason] for s in comparison.stabilities]
-    if lines:
-        yield f"{title}: outcomes", ["requirement", "loop", "before", "required", "now", "required now"], lines
-    if moved := comparison.largest():
-        columns = ["margin", "loop", "unit", "before", "now", "change", "its 95 % interval", "at", "points", "outcome"]
-        intervals = ["exact" if x.interval is None else PRINTED.interval(x.interval) for x, _ in moved]
-        rows = [
-            [x.quantity, x.loop, x.unit, x.before, x.now, x.change, interval, x.recording, points, x.outcome]
-            for (x, points), interval in zip(moved, intervals, strict=True)
-        ]
-        yield f"{title}: margins", columns, rows
-
-
-def comparison_text(title: str, comparison: Comparison) -> str:
-    """In lines: outcomes that changed, margins that did, what came or went, what differs underneath."""
-    lines = []
-    for x in comparison.lines:
-        was, required, now, wishes = line_change_words(x)
-        lines.append(f"{x.quantity} of loop {x.loop}: {was} ({required}) to {now} ({wishes})")
-    lines += [f"loop {s.loop} in {s.recording}: {s.before} to {s.now}: {s.reason}" for s in comparison.stabilities]
-    lines += [change_text(change, points) for change, points in comparison.largest()]
-    return "\n".join([f"{title}: {comparison.counts}", *(f"  {line}" for line in (*lines, *comparison.remarks))])
-
-
-def change_text(change: MarginChange, points: int = 1) -> str:
-    """A margin's change in one sentence; `points` is at how many operating points it is so."""
-    unit = "" if change.unit == "1" else f" {change.unit}"
-    interval = "" if change.interval is None else f" ({PRINTED.interval(change.interval)}{unit})"
-    others = f" and {points - 1} more" if points > 1 else ""
-    return (
-        f"{change.quantity} of loop {change.loop} is {change.outcome} by {abs(change.change):.4g}{unit}{interval}:"
-        f" {change.before:.4g} to {change.now:.4g}{unit} in {change.recording}{others}"
-    )
-
-
-def line_change_words(change: LineChange) -> tuple[str, str, str, str]:
-    """Outcome and limit before, and now."""
-    before, now = (
-        ("not required", "-") if one is None else (one.outcome.word, row_of(one).asked)
-        for one in (change.before, change.now)
-    )
-    return (*before, *now)

@@ -8,7 +8,7 @@ import pytest
 from loopshape.core.json_ready import Plain, json_ready, keys
 
 for name in (
-    "data.result.baseline",
+    "toolbox.validation.kept.against",
     "toolbox.limits.bound",
     "toolbox.schedules.schedule",
     "design.turns",

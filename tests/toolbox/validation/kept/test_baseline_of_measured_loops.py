@@ -6,7 +6,7 @@ from bench_nouns import Block, TransferFunction
 from conversions import TWO_PI
 
 import loopshape as ls
-from loopshape.loop.baseline import compare
+from loopshape.toolbox.validation.kept.baseline import compare
 
 F = np.arange(0.2, 40.01, 0.2)
 W = TWO_PI * 6.3

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verdict_cases import VALUES, checked, margins
 
-from loopshape.loop.baseline import compare
+from loopshape.toolbox.validation.kept.baseline import compare
 
 OPPOSITE = {"better": "worse", "worse": "better", "unchanged": "unchanged"}
 numbers = st.floats(-60.0, 60.0)

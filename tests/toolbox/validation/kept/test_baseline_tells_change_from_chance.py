@@ -9,8 +9,9 @@ from bench_nouns import LIMITS
 from verdict_cases import CONTROLLER, OTHER, VALUES, around, checked, line, margins
 
 import loopshape as ls
-from loopshape.io.write.check_files import Baseline
-from loopshape.loop.baseline import bridge, compare, data_mark, same_controllers
+from loopshape.loop.verdict import data_mark
+from loopshape.toolbox.validation.kept.against import Baseline
+from loopshape.toolbox.validation.kept.baseline import bridge, compare, same_controllers
 
 HALF = 2.0
 

@@ -3,34 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from hashlib import sha256
 from math import hypot, inf, isfinite, isnan
 from statistics import NormalDist
-
-import numpy as np
 
 from loopshape.core.outcomes import Change, ClosedLoop
 from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import LIMIT_OF, Limit
-from loopshape.data.response.frf import FRF
-from loopshape.data.result.baseline import Comparison, LineChange, MarginChange, StabilityChange
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
 from loopshape.loop.tolerances import TOL
-
-
-def data_mark(frf: FRF) -> str:
-    """A short mark of lines and response to about six figures.
-
-    Unlike `FRF.digest` it survives the last digits, which differ from processor to processor when the same recording
-    is estimated again.
-    """
-    size = np.abs(frf.response)
-    turn = np.round(frf.response / np.where(size > 0.0, size, 1.0), 5)
-    numbers = (*frf.frequency_hz.tolist(), *size.ravel().tolist())
-    turns = (*(turn.real.ravel() + 0.0).tolist(), *(turn.imag.ravel() + 0.0).tolist())  # + 0: no negative zero
-    text = " ".join(["%.6g"] * len(numbers) + ["%.5f"] * len(turns)) % (*numbers, *turns)
-    return sha256(text.encode()).hexdigest()[:16]
+from loopshape.toolbox.validation.kept.changes import Comparison, LineChange, MarginChange, StabilityChange
 
 
 def compare(before: Sequence[Verdict], now: Sequence[Verdict]) -> Comparison:
