@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from loopshape.data.response.frf import FRF as FRF
     from loopshape.data.response.model import Fit as Fit
     from loopshape.data.result.margins import Margins as Margins
-    from loopshape.data.result.prediction import Prediction as Prediction
     from loopshape.data.result.verdict import Verdict as Verdict
     from loopshape.data.signal.disturbance import Disturbance as Disturbance
     from loopshape.data.signal.recording import Recording as Recording
@@ -62,12 +61,13 @@ if TYPE_CHECKING:
     from loopshape.toolbox.diagrams.coupling.interaction import interaction as interaction
     from loopshape.toolbox.pages.verbs import report as report
     from loopshape.toolbox.pages.verbs import shape as shape
+    from loopshape.toolbox.validation.predicted.nouns import Prediction as Prediction
+    from loopshape.toolbox.validation.predicted.verbs import predict as predict
     from loopshape.toolbox.validation.verbs import compare as compare
     from loopshape.verbs.chain import check as check
     from loopshape.verbs.chain import fit as fit
     from loopshape.verbs.chain import frf as frf
     from loopshape.verbs.chain import frfs as frfs
-    from loopshape.verbs.chain import predict as predict
     from loopshape.verbs.chain import tune as tune
     from loopshape.verbs.estimates import estimate as estimate
     from loopshape.verbs.estimates import frf_matrices as frf_matrices
@@ -97,7 +97,6 @@ _HOME = {
     "Mask": "data.requirement.limits_over",
     "Objective": "data.requirement.weight",
     "Outcome": "core.outcomes",
-    "Prediction": "data.result.prediction",
     "Recording": "data.signal.recording",
     "Requirements": "data.requirement.requirements",
     "Run": "data.signal.run",
@@ -122,7 +121,6 @@ _HOME = {
     "pi": "data.control.shorthand",
     "pid": "data.control.shorthand",
     "plot": "view.plot",
-    "predict": "verbs.chain",
     "profiles": "verbs.files",
     "read": "verbs.files",
     "read_controllers": "verbs.files",

@@ -11,7 +11,7 @@ from arm1_scores import AGREES, APART, DIFFERS, PARTLY, Score, holds, judged
 
 from loopshape.core.units import rad
 from loopshape.data.result.margins import Margins
-from loopshape.data.result.prediction import Indicators
+from loopshape.data.result.step import Indicators
 from loopshape.loop.loop import Loop
 from loopshape.toolbox.arm.source import number, value
 

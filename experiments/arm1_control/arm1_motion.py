@@ -14,7 +14,7 @@ from source_controllers import angle_controller
 from loopshape.core.units import Array, deg, rad
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.model import TransferFunction
-from loopshape.data.result.prediction import Indicators
+from loopshape.data.result.step import Indicators
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
 from loopshape.loop.predict.indicators import indicators

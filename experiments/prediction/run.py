@@ -25,7 +25,6 @@ from loopshape.data.requirement.requirements import LIMITS, Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.margins import Margins
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.design.tune import tune
@@ -35,13 +34,14 @@ from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
 from loopshape.io.run.run_folder import read_run
 from loopshape.io.write.controllers import read_controllers, write_controllers
-from loopshape.io.write.predictions import write_predictions
-from loopshape.loop.predict.prediction import predict
 from loopshape.loop.verdict import check
 from loopshape.toolbox.validation.pictures import comparison_grid
+from loopshape.toolbox.validation.predicted.file import write_predictions
+from loopshape.toolbox.validation.predicted.nouns import Prediction
+from loopshape.toolbox.validation.predicted.picture import prediction_page
+from loopshape.toolbox.validation.predicted.predict import predict
 from loopshape.toolbox.validation.remeasured import Remeasured, remeasure
 from loopshape.view.style import png
-from loopshape.view.verdict.prediction import prediction_page
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "lab"))
 from plant_behind import plant_behind

@@ -33,7 +33,6 @@ OWN = (
     ("Design", "design.tune", "tune runs/axis --require requirements.toml --out controller.toml", 10),
     ("Design", "design.profiles", "profiles --out mine.toml", 40),
     ("Verify", "verify.check", "check runs/axis controller.toml --require requirements.toml", 10),
-    ("Verify", "verify.predict", "predict runs/axis controller.toml --out prediction.npz", 20),
     ("Verify", "verify.verify", "verify runs/axis", 50),
 )
 

@@ -14,11 +14,18 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 from loopshape.core.errors import WrongUseError
 
 GROUP = "loopshape.toolboxes"
+
+
+@runtime_checkable
+class InFile(Protocol):
+    """A noun of a toolbox that `loopshape.write` writes, one or several in a file of its ending."""
+
+    ENDING: ClassVar[str]
 
 
 @dataclass(frozen=True)
@@ -39,19 +46,20 @@ class Command:
 class Toolbox:
     """What a toolbox adds: its commands, its public names (name to module), and who reads files of which ending.
 
-    `names` are those of `loopshape.<toolbox>`, `verbs` stand beside the bench's own as `loopshape.<name>`.
-    `readers` lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name;
-    `loopshape import` uses them. `writers` lead from the name of a noun's class ("FRF") to a function that takes a path
-    and the noun, for `loopshape.write`. `formats` lead from the first words of a file (`format = "mine/1"`) to a
-    function that takes its path and the folder of a run, and gives the noun: of it a block diagram is found.
-    `controllers` lead from the key that makes a controller's table another kind ("nodes") to the class that reads it,
-    in any file of ours. `comparisons` lead from what was kept ("verdict") to a function that takes its file and what
-    a check found now, and gives a `Baseline`. `parts`
-    lead from a section's title to a function that takes the report of a run and gives its HTML, or None. A noun with
-    a method `figure` is drawn by `loopshape.plot`. `looks` lead from a kind of remark to a function that takes a run,
-    its recordings and their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them. `pictures`
-    lead from the beginning of a file's name to a function that takes a loop's operating points, requirements (or None)
-    and verdict, and gives a figure: `check` and `figures` draw it where there are several points.
+    `names` are those of `loopshape.<toolbox>`, `verbs` stand beside the bench's own as `loopshape.<name>`. `readers`
+    lead from an ending (".xyz") to a function "module:function" that takes a path and gives arrays by name; `loopshape
+    import` uses them. `writers` lead from the name of a noun's class ("FRF") to a function that takes a path and the
+    noun, for `loopshape.write`; of nouns with an `ENDING` from both ("Prediction.npz") to one that takes several, which
+    `files` lead back from the ending for `loopshape.read`. `formats` lead from the first words of a file (`format =
+    "mine/1"`) to a function that takes its path and the folder of a run, and gives the noun: of it a block diagram is
+    found. `controllers` lead from the key that makes a controller's table another kind ("nodes") to the class that
+    reads it, in any file of ours. `comparisons` lead from what was kept ("verdict") to a function that takes its file
+    and what a check found now, and gives a `Baseline`. `parts` lead from a section's title to a function that takes the
+    report of a run and gives its HTML, or None. A noun with a method `figure` is drawn by `loopshape.plot`, several of
+    a kind by its `figure_of`. `looks` lead from a kind of remark to a function that takes a run, its recordings and
+    their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them. `pictures` lead from the
+    beginning of a file's name to a function that takes a loop's operating points, requirements (or None) and verdict,
+    and gives a figure: `check` and `figures` draw it where there are several points.
     From a plant's name in a study, `plants` lead to what makes the simulated rig, `boards` to that of the emulator,
     `effect_pages` to a function that draws what its effects do.
     """
@@ -63,6 +71,7 @@ class Toolbox:
     verbs: Mapping[str, str] = field(default_factory=dict)
     readers: Mapping[str, str] = field(default_factory=dict)
     writers: Mapping[str, str] = field(default_factory=dict)
+    files: Mapping[str, str] = field(default_factory=dict)
     formats: Mapping[str, str] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
     comparisons: Mapping[str, str] = field(default_factory=dict)

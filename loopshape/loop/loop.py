@@ -38,7 +38,7 @@ from loopshape.loop.tolerances import TOL
 
 if TYPE_CHECKING:
     from loopshape.data.result.margins import Margins
-    from loopshape.data.result.prediction import Step
+    from loopshape.data.result.step import Step
 
 Values = TypeVar("Values", bound=np.ndarray)
 
@@ -251,10 +251,14 @@ class Loop:
 
     def step(self, fit: Fit | None = None) -> Step | None:
         """Setpoint step of one loop, from a fit of the plant or from its lines alone; None where neither tells it."""
-        from loopshape.loop.predict.prediction import predict
-        from loopshape.loop.predict.step_response import predict_step
+        from loopshape.loop.loops import loops_of
+        from loopshape.loop.predict.step_response import measured_sensitivity, predict_step, step_without_fit
+        from loopshape.loop.stability.stability import closed_loop_stability
 
-        return predict([self.plant], [self.controller])[0].step if fit is None else predict_step(fit, self.controller)
+        if fit is not None:
+            return predict_step(fit, self.controller)
+        ((loop,), _) = loops_of([self.plant], self.controller, Requirements(self.controller.loop))
+        return step_without_fit(loop, measured_sensitivity(loop), closed_loop_stability(loop).outcome)[0]
 
     def poles(self, fit: Fit) -> ComplexArray:
         """Closed-loop poles in rad/s of a fit, taken as the sampled plant, and the controller as it runs.

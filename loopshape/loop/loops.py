@@ -151,6 +151,11 @@ def beyond_lines(frf: FRF, lines: FRF) -> FRF | None:
     return replace(found, response=found.response * (1.0 + TOL.radius_95 * relative[rows])[:, None, None])
 
 
+def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
+    """The fit made for this very FRF."""
+    return next((x for x in fits if (x.recording, x.loop, x.frf_digest) == (frf.recording, frf.loop, frf.digest)), None)
+
+
 def _fit_of(fits: Sequence[Fit], frf: FRF, measured: FRF, requirements: Requirements) -> tuple[Fit | None, str]:
     """The fit of the plant below the measured band, and why it may not speak for it: "" where it may.
 

@@ -27,7 +27,6 @@ from loopshape.verbs.files import read
 from loopshape.verbs.watch import Unwatched, Watch
 
 if TYPE_CHECKING:
-    from loopshape.data.result.prediction import Prediction
     from loopshape.data.signal.disturbance import Disturbance
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops
@@ -283,36 +282,3 @@ def point_disturbances(
     if isinstance(given, Run | str | Path):
         return disturbances_in(given if isinstance(given, Run) else read(given), *loops)
     return tuple(given)
-
-
-def predict(
-    P: Plants,
-    C: Controller | Tuning | Sequence[Controller | Tuning],
-    R: Requirements | None = None,
-    *,
-    fits: Sequence[Fit] = (),
-    seed: int = 0,
-) -> tuple[Prediction, ...]:
-    """S, T and the step of the closed loop under a controller that has not run yet, at each operating point.
-
-    With intervals from the FRF's error. A step is that of a fit, or of the lines where they carry one and the
-    loop is known to be stable: `R` declares the plant's integrators and unstable poles, nothing else of it counts. Same
-    seed, same draws. Of several controllers, one a loop of a matrix FRF, each loop is predicted with the others closed.
-    Refuses a negative seed.
-    """
-    if seed < 0:
-        raise WrongUseError("seed must be 0 or above", f"{seed}")
-    from loopshape.loop.predict.prediction import predict as predict_loops
-
-    own = [controller_of(one) for one in (C if isinstance(C, Sequence) else (C,))]
-    poles = R or Requirements()
-    return tuple(
-        predict_loops(
-            plants_of(P),
-            own,
-            tuple(fits),
-            integrators=poles.integrators,
-            unstable_poles=poles.unstable_poles,
-            seed=seed,
-        )
-    )

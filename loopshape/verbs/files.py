@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.toolboxes import InFile
 from loopshape.data.control.controller import Controller
 from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.profile import Profile
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.run import Run
 from loopshape.verbs.arguments import controller_of
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 _READERS = {
     ".json": "loopshape.io.write.verdicts:read_verdicts",
     ".toml": "loopshape.io.write.controllers:read_loop_controllers",
-    ".npz": "loopshape.io.write.predictions:read_predictions",
 }
 _FORMATS = {
     "loopshape-requirements": "loopshape.io.requirements:read_whole",
@@ -61,10 +60,10 @@ def read(path: str | Path) -> Any:
         words = (read_toml if kind == ".toml" else read_json)(place)
         named = str(words.get("format") if isinstance(words, dict) else None).split("/")[0]
         return function_at(_FORMATS.get(named, _READERS[kind]))(place)
-    other = found().all("names").get("read_frf")
-    if kind not in _READERS and other is None:
-        raise WrongUseError("a file of this kind is not read", str(path), f"give a folder, or {', '.join(_READERS)}")
-    return function_at(_READERS.get(kind, f"{other}:read_frf"))(place)
+    known, other = _READERS | found().all("files"), found().all("names").get("read_frf")
+    if kind not in known and other is None:
+        raise WrongUseError("a file of this kind is not read", str(path), f"give a folder, or {', '.join(known)}")
+    return function_at(known.get(kind, f"{other}:read_frf"))(place)
 
 
 def read_controllers(file: str | Path) -> tuple[Controller, ...]:
@@ -134,11 +133,11 @@ def write(
     | Tuning
     | FRF
     | Fit
-    | Prediction
+    | InFile
     | Profile
     | Requirements
     | Verdict
-    | Sequence[Controller | Scheduled | Tuning | Fit | Prediction | Profile | Requirements | Verdict],
+    | Sequence[Controller | Scheduled | Tuning | Fit | InFile | Profile | Requirements | Verdict],
     path: str | Path,
 ) -> Path:
     """Write one thing whole, so that `loopshape` commands and the readers here take it; gives the path.
@@ -175,7 +174,6 @@ _WRITERS: tuple[tuple[type | tuple[type, ...], str, str], ...] = (
     ((Controller, Scheduled), ".toml", "loopshape.io.write.controllers:write_controllers"),
     (Requirements, ".toml", "loopshape.io.requirements:write_requirements"),
     (Profile, ".toml", "loopshape.io.requirements:write_profiles"),
-    (Prediction, ".npz", "loopshape.io.write.predictions:write_predictions"),
     (Verdict, ".json", "loopshape.io.write.verdicts:write_verdicts"),
     (Fit, ".json", "loopshape.io.write.fits:write_fits"),
 )
@@ -183,9 +181,12 @@ _WRITERS: tuple[tuple[type | tuple[type, ...], str, str], ...] = (
 
 def _write_all(target: Path, every: list[Any]) -> None:
     """Write nouns of one kind; refuses others and another ending."""
-    from loopshape.core.toolboxes import function_at
+    from loopshape.core.toolboxes import found, function_at
 
-    for kinds, ending, place in _WRITERS:
+    first = next(iter(every), None)
+    place = found().all("writers").get(f"{type(first).__name__}{getattr(first, 'ENDING', None)}")
+    own = ((type(first), first.ENDING, place),) if first is not None and place else ()
+    for kinds, ending, place in (*_WRITERS, *own):
         if all(isinstance(one, kinds) for one in every):
             if target.suffix.lower() != ending:
                 raise WrongUseError(f"this is written as {ending}", target.name, f"name it {target.stem}{ending}")

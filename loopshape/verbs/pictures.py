@@ -1,4 +1,4 @@
-"""Pictures of a run to files: of its FRFs with their fits, of matrices, loops and predictions."""
+"""Pictures of a run to files: of its FRFs with their fits, of matrices and loops."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from loopshape.data.requirement.requirements import Requirements
     from loopshape.data.response.frf import FRF
     from loopshape.data.response.model import Fit
-    from loopshape.data.result.prediction import Prediction
     from loopshape.data.result.verdict import Verdict
     from loopshape.io.write.check_files import Checks
     from loopshape.loop.loop import Loop
@@ -169,12 +168,3 @@ def draw_together(
         page = together_page(loop, verdict.together[recording], each, required)
         drawn += _saved(folder, [(f"loop_{'+'.join(loop.names)}{tail}", page)])
     return drawn
-
-
-def draw_predictions(out: Path, made: Sequence[Prediction]) -> list[str]:
-    """A page of each loop beside the file of its predictions."""
-    from loopshape.view.verdict.prediction import prediction_page
-
-    loops = dict.fromkeys(one.loop for one in made)
-    pages = ((f"{out.stem}_{name}", prediction_page([one for one in made if one.loop == name])) for name in loops)
-    return _saved(out.parent, pages)

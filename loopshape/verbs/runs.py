@@ -13,7 +13,6 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.profile import Profile, zone_shares
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.model import Fit
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict_words import page_text
 from loopshape.io.files import make_folder, write_text_whole
 from loopshape.io.folder_lock import locked
@@ -254,23 +253,3 @@ def write_reports(found: CheckedRun, reports: Reports) -> None:
         write_text_whole(reports.junit, junit(checks.verdicts, whole, allow_worse=reports.allow_worse))
     if reports.markdown is not None:
         write_text_whole(reports.markdown, markdown(checks.verdicts, None if compared is None else compared.parts))
-
-
-def predict(
-    run: Path, controllers: Path, require: Path | None = None, *, seed: int = 0, watch: Watch | None = None
-) -> tuple[Prediction, ...]:
-    """What the controllers of a file will make of a run's loops; refuses a file without a loop that has an FRF."""
-    asked = {} if require is None else {one.loop: one for one in read_requirements(require)}
-    frfs, fits, read_in = read_frfs(run), fits_of(run), read_controllers(controllers)
-    pairs = [(one, mine) for one in read_in if (mine := [frf for frf in frfs if frf.loop == one.loop])]
-    if not pairs:
-        raise WrongUseError(
-            "the run has no FRF of a loop of these controllers",
-            f"loops {', '.join(one.loop for one in read_in)} and FRFs of {', '.join({f.loop for f in frfs})}",
-        )
-    made: list[Prediction] = []
-    with (watch or Unwatched()).progress("predict", len(pairs)) as step:
-        for own, mine in pairs:
-            made += chain.predict(mine, own, asked.get(own.loop), fits=fits, seed=seed)
-            step(own.loop)
-    return tuple(made)

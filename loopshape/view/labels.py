@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import SUFFIXES, TWO_PI
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import INDICATORS, Indicators
+from loopshape.data.result.step import INDICATORS, Indicators
 from loopshape.data.signal.channel import Channel, sum_terms
 
 if TYPE_CHECKING:

@@ -14,7 +14,6 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.result.equivalent import Diagram
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
@@ -23,7 +22,6 @@ from loopshape.view.plots import loops as pages
 from loopshape.view.plots import matrix as matrices
 from loopshape.view.plots import nichols as charts
 from loopshape.view.plots.bode import bode_page
-from loopshape.view.verdict import prediction as forecasts
 from loopshape.view.verdict.verdicts import margins_map
 
 if TYPE_CHECKING:
@@ -63,7 +61,7 @@ class Plots:
 
     def __call__(self, thing: object) -> Figure:
         """The picture that suits one thing: an FRF, a loop (of several S), a controller or a tuning, a verdict,
-        a prediction, or a toolbox's noun.
+        or a toolbox's noun, as a prediction or several.
 
         Raises WrongUseError for what has none.
         """
@@ -76,16 +74,14 @@ class Plots:
                 return bode_page(thing, None) if thing.is_one else self.matrix(thing.sensitivity)
             case Controller():
                 return self.frf(controller_frf(thing, thing.rate_hz * GRID, ("e",), ("z",)))
-            case Prediction():
-                return self.prediction([thing])
-            case tuple() | list() if thing and all(isinstance(one, Prediction) for one in thing):
-                return self.prediction(thing)
             case Verdict() if thing.lines:
                 return margins_map(thing)
             case object(controller=Controller() as tuned):
                 return self(tuned)
-        if callable(draw := getattr(thing, "figure", None)):
-            made: Figure = draw()
+        several = thing if isinstance(thing, tuple | list) and len({*map(type, thing)}) == 1 else None
+        draw = getattr(several[0], "figure_of", None) if several else getattr(thing, "figure", None)
+        if callable(draw):
+            made: Figure = draw(several) if several else draw()
             return made
         what = "there is no picture of this" + (", which has no required margin" if isinstance(thing, Verdict) else "")
         raise WrongUseError(what, type(thing).__name__, "a loop is drawn by ls.plot.bode(P, C), .nyquist and .nichols")
@@ -106,9 +102,11 @@ class Plots:
         return plot(found)
 
     @staticmethod
-    def prediction(predictions: Sequence[Prediction]) -> Figure:
+    def prediction(predictions: Sequence[object]) -> Figure:
         """Predicted |S|, |T| and steps of one loop at all operating points, with their bands."""
-        return forecasts.prediction_page(predictions)
+        if not predictions:
+            raise WrongUseError("a picture of predictions needs at least one", "none", "predict first")
+        return plot(tuple(predictions))
 
     @staticmethod
     def nyquist(

@@ -10,7 +10,6 @@ from loopshape.io.run.verify import verify
 from loopshape.io.write.controllers import write_controllers
 from loopshape.io.write.fits import read, read_fits, write_fits
 from loopshape.io.write.frfs import read_frfs, read_matrices, write_frfs, write_matrices
-from loopshape.io.write.predictions import read_predictions, write_predictions
 from loopshape.io.write.verdicts import read_verdicts, write_verdicts
 
 
@@ -29,7 +28,6 @@ __all__ = [
     "read_journal",
     "read_json",
     "read_matrices",
-    "read_predictions",
     "read_required",
     "read_toml",
     "read_verdicts",
@@ -41,7 +39,6 @@ __all__ = [
     "write_frfs",
     "write_json",
     "write_matrices",
-    "write_predictions",
     "write_run",
     "write_text_whole",
     "write_toml",

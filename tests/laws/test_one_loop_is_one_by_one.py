@@ -57,15 +57,6 @@ def test_loop(seed):
     np.testing.assert_allclose(listed.determinant, 1.0 + one.L, rtol=1e-12)
 
 
-@CASES
-def test_predict(seed):
-    P, C, _ = drawn(seed)
-    (one,), (listed,) = ls.predict(P, C), ls.predict([P], [C])
-    same(one.to_dict(), listed.to_dict())
-    np.testing.assert_allclose(listed.sensitivity.response, one.sensitivity.response, rtol=1e-12)
-    np.testing.assert_allclose(listed.sensitivity.covariance, one.sensitivity.covariance, rtol=1e-12)
-
-
 def test_tune():
     P, C, R = drawn(3)
     structure = [ls.gain(), ls.lead_lag()]

@@ -9,7 +9,7 @@ import numpy as np
 
 from loopshape.core.outcomes import Settling
 from loopshape.core.units import Array
-from loopshape.data.result.prediction import INDICATORS, Indicators
+from loopshape.data.result.step import INDICATORS, Indicators
 
 #: share of what was seen whose mean is the final value, and share over which a settled response stays in its band
 END, STAYS = 0.1, 0.2

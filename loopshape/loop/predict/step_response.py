@@ -17,17 +17,23 @@ of the half period before, and so never comes to rest there.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import TWO_PI, Array, ComplexArray
+from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit, TransferFunction
-from loopshape.data.result.prediction import Step
+from loopshape.data.result.step import Step
 from loopshape.loop.predict.indicators import indicators, with_intervals
+
+if TYPE_CHECKING:
+    from loopshape.loop.loop import Loop
 
 #: |T| above which a frequency takes part, and how close to its end a step must stay over its last quarter
 SMALL, FLAT = 1e-4, 1e-3
@@ -248,6 +254,26 @@ def step_from_lines(
     ends = (final, None) if guessed else (final,)
     read = with_intervals(read, [indicators(grid.time_s, y, final=end) for y in every for end in ends])
     return Step(grid.time_s, nominal, low - slower, high + slower, read, "FRF", 0.0, (seen,))
+
+
+def measured_sensitivity(loop: Loop) -> FRF:
+    """S of one loop on the lines as measured: smoothed ones share errors, which a comparison cannot know."""
+    plant = loop.measured
+    return replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
+
+
+def step_without_fit(
+    loop: Loop, S: FRF, stability: str, *, guessed: bool = True, seed: int = 0
+) -> tuple[Step | None, tuple[str, ...]]:
+    """The step that the lines of a loop carry, or why they carry none; `guessed` are the plant's integrators."""
+    if stability is not ClosedLoop.STABLE:  # lines show no end of it: an unstable loop has no step
+        return None, ("no fit of this FRF, and a loop that is not known to be stable: no step",)
+    own = loop.controller_integrators() > 0
+    final = 1.0 if own or (loop.integrators or 0) > 0 else None
+    try:
+        return step_from_lines(S, final=final, guessed=guessed and not own, seed=seed), ()
+    except WrongUseError as refused:
+        return None, (f"no fit of this FRF, and {refused}",)
 
 
 def _check_spacing(sensitivity: FRF) -> None:

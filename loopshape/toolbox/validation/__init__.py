@@ -1,6 +1,7 @@
-"""Whether a measurement bears a prediction out: predictions and a run under their controllers come in, or two FRFs.
+"""What a controller will make of a plant before it runs, and whether a measurement bears it out; two FRFs as well.
 
-Comparisons of S, steps and profiles go out, each confirmed, refuted or undecided; and what became of a kept verdict.
+Predictions go out, and comparisons of S, steps and profiles, each confirmed, refuted or undecided; and what became of a
+kept verdict.
 """
 
 from __future__ import annotations
@@ -13,6 +14,13 @@ TOOLBOX = Toolbox(
     commands=(
         Command(
             "Verify",
+            "predict",
+            "loopshape.toolbox.validation.predicted.command:predict",
+            "loopshape predict runs/axis controller.toml --out prediction.npz",
+            20,
+        ),
+        Command(
+            "Verify",
             "compare",
             "loopshape.toolbox.validation.command:compare",
             "loopshape compare runs/after prediction.npz",
@@ -20,5 +28,11 @@ TOOLBOX = Toolbox(
         ),
     ),
     comparisons={"verdict": "loopshape.toolbox.validation.kept.against:against"},
-    verbs={"compare": "loopshape.toolbox.validation.verbs"},
+    verbs={
+        "Prediction": "loopshape.toolbox.validation.predicted.nouns",
+        "compare": "loopshape.toolbox.validation.verbs",
+        "predict": "loopshape.toolbox.validation.predicted.verbs",
+    },
+    writers={"Prediction.npz": "loopshape.toolbox.validation.predicted.file:write_predictions"},
+    files={".npz": "loopshape.toolbox.validation.predicted.file:read_predictions"},
 )

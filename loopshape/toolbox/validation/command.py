@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.cli.verify.predict import STEP_COLUMNS
+from loopshape.toolbox.validation.predicted.command import STEP_COLUMNS
 
 if TYPE_CHECKING:
     from loopshape.toolbox.validation.nouns import Comparison, StepComparison

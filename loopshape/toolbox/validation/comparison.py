@@ -13,7 +13,6 @@ from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.frf_arrays import valid_lines
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.channel import unit_of
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
@@ -25,6 +24,7 @@ from loopshape.identify.signals import loop_signals, wiring_notes
 from loopshape.loop.tolerances import TOL
 from loopshape.toolbox.validation.agreement import noticed_db, on_common_lines, paired, tested
 from loopshape.toolbox.validation.nouns import Agreement, Comparison, StepComparison
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 
 
 def compare(prediction: Prediction, measured: FRF, *, level: float = 0.05, tolerance_db: float = 0.0) -> Comparison:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.outcomes import Graded
 from loopshape.core.units import Array
-from loopshape.data.result.prediction import Indicators, Step
+from loopshape.data.result.step import Indicators, Step
 
 
 class Agreement(Graded):

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction
 from loopshape.toolbox.validation.nouns import Agreement, Comparison, StepComparison
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 from loopshape.toolbox.validation.remeasured import Remeasured
 from loopshape.verbs.pictures import save
 from loopshape.view.labels import point, symbol

@@ -12,7 +12,6 @@ from loopshape.core.errors import BadSignalError, WrongUseError
 from loopshape.core.json_ready import Plain, keys
 from loopshape.core.units import Array
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.experiment import LoopSetup
 from loopshape.data.signal.recording import Recording
 from loopshape.data.signal.run import Run
@@ -20,6 +19,7 @@ from loopshape.identify.settings import Settings
 from loopshape.loop.predict.indicators import END, indicators
 from loopshape.toolbox.validation.comparison import compare, compare_step, estimate_sensitivity, sensitivity_of
 from loopshape.toolbox.validation.nouns import Comparison, StepComparison, Tracking
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 
 #: a recorded response is smoothed over this share of its rise; bands are wider than what moved over this share before
 SMOOTHED, BEFORE, ROOM = 0.1, 0.4, 1.5

@@ -9,13 +9,13 @@ from typing import overload
 
 from loopshape.core.errors import WrongUseError
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.signal.run import Run
 from loopshape.identify.settings import Settings
 from loopshape.io.write.frfs import FOLDER, has_any, read_frfs
-from loopshape.io.write.predictions import read_predictions
 from loopshape.toolbox.validation.comparison import compare_all
 from loopshape.toolbox.validation.nouns import Agreement, Comparison
+from loopshape.toolbox.validation.predicted.file import read_predictions
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 from loopshape.toolbox.validation.remeasured import Remeasured, remeasure
 from loopshape.verbs.arguments import plants_of
 from loopshape.verbs.files import read
@@ -48,7 +48,7 @@ def compare(
     Two FRFs, or FRFs of two runs (also of import-frf), are compared as plants: each of the second with each of the
     first that is of its loop and operating point.
     """
-    from loopshape.data.result.prediction import Prediction
+    from loopshape.toolbox.validation.predicted.nouns import Prediction
 
     listed = (predictions,) if isinstance(predictions, FRF) else tuple(predictions)
     plants = [x for x in listed if isinstance(x, FRF)]

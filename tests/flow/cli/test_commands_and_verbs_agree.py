@@ -117,13 +117,6 @@ def test_tune_gives_what_its_verb_gives(folder, estimated):
     assert ls.read_controllers(out)[0].digest == tuned.controller.digest
 
 
-def test_predict_says_what_its_verb_gives(folder, estimated):
-    out = folder / "prediction.npz"
-    words = said("predict", folder / "run", folder / "controller.toml", "--out", out, "--no-figures")
-    (C,) = ls.read_controllers(folder / "controller.toml")
-    same(words["predictions"], plain(list(ls.predict(estimated[1].frfs, C))))
-
-
 def clipped(name, role="estimation", excites="loop"):
     """Arrays of a loop whose output is cut off, as one recording."""
     u = np.random.default_rng(2).standard_normal(6000)

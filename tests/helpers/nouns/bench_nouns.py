@@ -5,7 +5,7 @@ from loopshape.data.control.controller import Precision
 from loopshape.data.requirement.requirements import LIMIT_OF, LIMITS
 from loopshape.data.response.model import Estimate, TransferFunction
 from loopshape.data.result.detuning import Detuning, Lost, MovedResonance, Reach
-from loopshape.data.result.prediction import INDICATORS, Indicators, Step
+from loopshape.data.result.step import INDICATORS, Indicators, Step
 from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.signal.channel import Channel
 from loopshape.data.signal.experiment import Experiment, LoopSetup

@@ -7,6 +7,9 @@ from bench_nouns import Block, Step
 
 import loopshape as ls
 from loopshape.loop.predict.indicators import indicators
+from loopshape.toolbox.validation.predicted.file import read_predictions, write_predictions
+
+__all__ = ["predictions", "read_predictions", "sensitivity", "step", "write_predictions"]
 
 GAIN = ls.Controller("theta2", (Block("gain", {"gain": 5.0}),), 1000.0)
 T = np.linspace(0.0, 2.0, 200)

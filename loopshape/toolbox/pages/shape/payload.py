@@ -34,11 +34,10 @@ from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.identify.smooth.smoothing import Recipe, recipe_of
 from loopshape.loop import detuning, shifted
 from loopshape.loop.loop import Loop, known_above, reach_above
-from loopshape.loop.loops import loops_of
+from loopshape.loop.loops import fit_of, loops_of
 from loopshape.loop.margin import between, margins
 from loopshape.loop.margin.disturbed import carried, lines_of, of_points
 from loopshape.loop.predict import step_response
-from loopshape.loop.predict.prediction import fit_of
 from loopshape.loop.stability import holes, low_end, obstacles, sampling, stability
 from loopshape.loop.stability.continued import continued
 from loopshape.loop.stability.low_end import LowModel, low_hz, low_models

@@ -14,12 +14,12 @@ from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction
 from loopshape.data.result.verdict import Verdict
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.toolbox.rig.adopt.blend import blended
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 
 #: shares of the new controller, step by step
 SHARES = (0.25, 0.5, 1.0)

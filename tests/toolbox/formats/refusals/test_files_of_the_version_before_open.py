@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from run_files import read_frfs, read_predictions
+from prediction_nouns import read_predictions
+from run_files import read_frfs
 
 import loopshape as ls
 from loopshape.toolbox.formats.frf.frf_csv import read_frf_csv

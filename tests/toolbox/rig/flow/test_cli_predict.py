@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import typer
 from plant_behind import plant_behind
-from run_files import read_predictions
+from prediction_nouns import read_predictions
 from typer.testing import CliRunner, Result
 
 import loopshape as ls
 from loopshape.cli.estimate.fit import fit_run
 from loopshape.cli.output import Output
-from loopshape.cli.verify.predict import predict
 from loopshape.toolbox.rig.commands.measure import measure
 from loopshape.toolbox.validation.command import compare
+from loopshape.toolbox.validation.predicted.command import predict
 
 app = typer.Typer()
 for command in (measure, predict, compare):
@@ -134,9 +134,10 @@ def test_a_prediction_of_another_gain_did_not_hold_and_exit_code_is_1(folder: Pa
     """The rig's gain fell by a third after the prediction was made: here, the prediction is of a larger plant."""
     from dataclasses import replace
 
-    from run_files import read_frfs, write_predictions
+    from prediction_nouns import write_predictions
+    from run_files import read_frfs
 
-    from loopshape.loop.predict.prediction import predict as predict_loop
+    from loopshape.toolbox.validation.predicted.predict import predict as predict_loop
 
     made = read_predictions(folder / "prediction.npz")[0].controller
     larger = [replace(f, response=1.5 * f.response, covariance=2.25 * f.covariance) for f in read_frfs(folder / "old")]

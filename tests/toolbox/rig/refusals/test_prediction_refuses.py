@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from bench_nouns import INDICATORS, Block, Indicators, LoopSetup, RecordingInfo, Step
 from plant_behind import plant_behind
-from run_files import read_predictions, write_predictions
+from prediction_nouns import read_predictions, write_predictions
 
 import loopshape as ls
-from loopshape.loop.predict.prediction import predict
 from loopshape.toolbox.rig.verbs.machine import blocks_of
 from loopshape.toolbox.validation.comparison import compare, estimate_sensitivity, sensitivity_of
+from loopshape.toolbox.validation.predicted.predict import predict
 
 GAIN = ls.Controller("a", (Block("gain", {"gain": 1.0}),), 1000.0)
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from bench_nouns import Block, Estimate, Integrator, ThirdOrder, TransferFunction
 from conversions import TWO_PI, Array, ComplexArray
-from predicted_loops import NEW, OLD, RATE_HZ, arm, measured
+from predicted_loops import NEW, RATE_HZ, arm, measured
 from scipy.signal import cont2discrete, lfilter, sosfilt
 
 import loopshape as ls
 from loopshape.identify.fit import fit
 from loopshape.loop.predict.indicators import indicators
-from loopshape.loop.predict.prediction import predict
 from loopshape.loop.predict.step_response import closed_loop, predict_step, step_from_lines
 
 GAIN = ls.Controller("a", (Block("gain", {"gain": 2.0}),), RATE_HZ)
@@ -160,18 +159,6 @@ def test_an_integrator_stays_one_in_every_draw() -> None:
     assert np.allclose(step.indicators.intervals["steady_state_error"], 0.0, atol=1e-6)
     low, high = step.indicators.intervals["rise_time_s"]
     assert low < np.log(9.0) / 3.0 < high
-
-
-def test_without_a_fit_the_step_comes_from_the_lines_or_it_is_said_why_not() -> None:
-    f = 0.05 * np.arange(2, 501)
-    frf = measured(np.random.default_rng(9), f, arm().response(f), 0.01, OLD)
-    (whole,) = predict([frf], NEW)
-    (part,) = predict([frf.between(1.5, 25.0)], NEW)
-    assert whole.step is not None
-    assert whole.step.source == "FRF"
-    assert whole.step.indicators.overshoot == pytest.approx(0.28, abs=0.03)
-    assert part.step is None
-    assert any("no fit" in note for note in part.notes)
 
 
 def test_models_that_do_not_settle_are_counted_and_take_the_intervals_away() -> None:

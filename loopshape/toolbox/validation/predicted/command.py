@@ -11,7 +11,7 @@ import typer
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
 
 if TYPE_CHECKING:
-    from loopshape.data.result.prediction import Prediction
+    from loopshape.toolbox.validation.predicted.nouns import Prediction
 
 
 def predict(
@@ -30,12 +30,11 @@ def predict(
 
     With the controller in place of the recorded one; `loopshape compare` compares a later run with it.
     """
-    from loopshape.verbs import runs
+    from loopshape.toolbox.validation.predicted.verbs import draw_predictions, predict_run
     from loopshape.verbs.files import write
-    from loopshape.verbs.pictures import draw_predictions
 
     output = Output(as_json, quiet)
-    made = runs.predict(run, controller, require, seed=seed, watch=output)
+    made = predict_run(run, controller, require, seed=seed, watch=output)
     write(made, out)
     _report(made, output)
     drawn = draw_predictions(out, made) if figures else []

@@ -5,7 +5,7 @@ import pytest
 from prediction_nouns import predictions, step
 
 import loopshape as ls
-from loopshape.view.verdict.prediction import prediction_page
+from loopshape.toolbox.validation.predicted.picture import prediction_page
 
 
 def test_a_prediction_shows_s_t_and_the_step_with_bands() -> None:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import db
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 from loopshape.view.key import count, curve, key_of, place_key
 from loopshape.view.labels import symbol
 from loopshape.view.plots.curves import draw_band, fit_decibels, frequency_axis, magnitude_band_db

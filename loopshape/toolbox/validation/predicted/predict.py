@@ -10,17 +10,17 @@ import numpy as np
 from loopshape.core.errors import WrongUseError
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import db
-from loopshape.data.algebra import feedback
 from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.data.result.prediction import Prediction, Step
+from loopshape.data.result.step import Step
 from loopshape.loop.loop import Loop
-from loopshape.loop.loops import closed_loops, equivalent_plants, loops_of, matrix_loops
+from loopshape.loop.loops import closed_loops, equivalent_plants, fit_of, loops_of, matrix_loops
 from loopshape.loop.matrix.determinant import closed_loops_stability
-from loopshape.loop.predict.step_response import DRAWS, predict_step, step_from_lines
+from loopshape.loop.predict.step_response import DRAWS, measured_sensitivity, predict_step, step_without_fit
 from loopshape.loop.stability.stability import Stability, closed_loop_stability
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 
 
 def predict(
@@ -65,39 +65,19 @@ def predict(
     return made
 
 
-def fit_of(frf: FRF, fits: Sequence[Fit]) -> Fit | None:
-    """The fit made for this very FRF."""
-    return next((x for x in fits if (x.recording, x.loop, x.frf_digest) == (frf.recording, frf.loop, frf.digest)), None)
-
-
 def _one(
     loop: Loop, stability: Stability, fit: Fit | None, notes: tuple[str, ...], draws: int, seed: int, guessed: bool
 ) -> Prediction:
-    plant = loop.measured  # smoothed lines share errors, which a comparison cannot know
-    S = replace(feedback(plant, loop.controller).S_o, recorded_under=loop.controller, loop=plant.loop)
+    S = measured_sensitivity(loop)
     if stability.outcome is not ClosedLoop.STABLE:
         notes += (f"the loop is {stability.outcome}: {stability.reason}",)
     if fit is None:
-        own = loop.controller_integrators() > 0
-        final = 1.0 if own or (loop.integrators or 0) > 0 else None
-        step, why = _without_fit(S, stability.outcome, final, seed, guessed and not own)
+        step, why = step_without_fit(loop, S, stability.outcome, guessed=guessed, seed=seed)
         return Prediction(S, stability.outcome, step, notes + why)
     step = predict_step(fit, loop.controller, draws=draws, seed=seed)
     if step is None:
         return Prediction(S, stability.outcome, None, (*notes, "the fit's loop does not come to rest: no step"))
     return Prediction(S, stability.outcome, _with_doubt(step, S, fit), notes)
-
-
-def _without_fit(
-    S: FRF, stability: str, final: float | None, seed: int, guessed: bool
-) -> tuple[Step | None, tuple[str, ...]]:
-    """The step that the lines carry, or why they carry none."""
-    if stability is not ClosedLoop.STABLE:  # lines show no end of it: an unstable loop has no step
-        return None, ("no fit of this FRF, and a loop that is not known to be stable: no step",)
-    try:
-        return step_from_lines(S, final=final, guessed=guessed, seed=seed), ()
-    except WrongUseError as refused:
-        return None, (f"no fit of this FRF, and {refused}",)
 
 
 def _with_doubt(step: Step, S: FRF, fit: Fit) -> Step:

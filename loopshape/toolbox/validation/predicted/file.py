@@ -13,10 +13,11 @@ from loopshape.core.errors import UnreadableInputError, WrongUseError
 from loopshape.core.json_ready import json_ready
 from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.prediction import Prediction, Step
+from loopshape.data.result.step import Step
 from loopshape.io.files import make_folder, reading, write_whole
 from loopshape.io.schema import read
 from loopshape.io.write.frf_words import arrays_in, frf_arrays, frf_header, frf_words, is_format
+from loopshape.toolbox.validation.predicted.nouns import Prediction
 
 FORMAT = "loopshape-predictions/2"
 _STEP = ("time_s", "response", "low", "high")
