@@ -18,15 +18,16 @@ from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
-from loopshape.design.growth import Task, library
 from loopshape.design.problem.problem import Problem
 from loopshape.design.problem.shifts import copies_for
 from loopshape.design.search import LARGEST, initial_point, search
+from loopshape.design.stage import Task
 from loopshape.design.tune import Search, Tuning, tune
 from loopshape.io.files import write_bytes_whole
 from loopshape.io.requirements import read_requirements
 from loopshape.loop.loops import loops_of
 from loopshape.loop.verdict import check
+from loopshape.toolbox.limits.growth import library
 from loopshape.view.style import new_figure, png, styled
 
 HERE = Path(__file__).parent

@@ -54,12 +54,13 @@ class Toolbox:
     "mine/1"`) to a function that takes its path and the folder of a run, and gives the noun: of it a block diagram is
     found. `controllers` lead from the key that makes a controller's table another kind ("nodes") to the class that
     reads it, in any file of ours. `comparisons` lead from what was kept ("verdict") to a function that takes its file
-    and what a check found now, and gives a `Baseline`. `parts` lead from a section's title to a function that takes the
-    report of a run and gives its HTML, or None. A noun with a method `figure` is drawn by `loopshape.plot`, several of
-    a kind by its `figure_of`. `looks` lead from a kind of remark to a function that takes a run, its recordings and
-    their FRFs, and gives `Remark`s: `loopshape frf` and `loopshape.estimate` tell them. `pictures` lead from the
-    beginning of a file's name to a function that takes a loop's operating points, requirements (or None) and verdict,
-    and gives a figure: `check` and `figures` draw it where there are several points.
+    and what a check found now, and gives a `Baseline`. `searches` lead from what a tuning may do besides ("grow") to
+    what does it. `parts` lead from a section's title to a function that takes the report of a run and gives its HTML,
+    or None. A noun with a method `figure` is drawn by `loopshape.plot`, several of a kind by its `figure_of`. `looks`
+    lead from a kind of remark to a function that takes a run, its recordings and their FRFs, and gives `Remark`s:
+    `loopshape frf` and `loopshape.estimate` tell them. `pictures` lead from the beginning of a file's name to a
+    function that takes a loop's operating points, requirements (or None) and verdict, and gives a figure: `check` and
+    `figures` draw it where there are several points.
     From a plant's name in a study, `plants` lead to what makes the simulated rig, `boards` to that of the emulator,
     `effect_pages` to a function that draws what its effects do.
     """
@@ -75,6 +76,7 @@ class Toolbox:
     formats: Mapping[str, str] = field(default_factory=dict)
     controllers: Mapping[str, str] = field(default_factory=dict)
     comparisons: Mapping[str, str] = field(default_factory=dict)
+    searches: Mapping[str, str] = field(default_factory=dict)
     parts: Mapping[str, str] = field(default_factory=dict)
     looks: Mapping[str, str] = field(default_factory=dict)
     pictures: Mapping[str, str] = field(default_factory=dict)

@@ -10,6 +10,7 @@ import numpy as np
 
 from loopshape.core.errors import WrongUseError
 from loopshape.core.json_ready import Plain, keys
+from loopshape.core.toolboxes import needed
 from loopshape.core.units import Array, db
 from loopshape.data.control.block import BlockTemplate, Free
 from loopshape.data.control.controller import Block, Controller
@@ -18,23 +19,13 @@ from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
 from loopshape.data.result.verdict import Verdict
 from loopshape.data.signal.disturbance import Disturbance
-from loopshape.design.growth import (
-    Grown,
-    Stage,
-    Task,
-    blockwise_growth,
-    closed_in,
-    grown,
-    lowest_bandwidth,
-    pays,
-    step_of,
-)
 from loopshape.design.problem.measures import Measures
 from loopshape.design.problem.peaks import NORM
 from loopshape.design.problem.problem import Problem, bounds_reached
 from loopshape.design.problem.shifts import copies_for
 from loopshape.design.relax import Shortfall, shortfall
 from loopshape.design.search import SearchResult, initial_point
+from loopshape.design.stage import Grown, Stage, Task, closed_in, lowest_bandwidth, step_of
 from loopshape.design.starts import random_starts, settled, tournament
 from loopshape.design.tighten import TightenedSolution, Verifier, norm
 from loopshape.loop.loops import loops_of
@@ -151,9 +142,8 @@ def tune(
     A `detuning_percent` is met by tuning to each plant as it is and with its frequencies shifted both ways to that
     end, and where the check finds a worse shift between to that as well.
 
-    Blocks that are added come one after the other (`loopshape.design.growth`); `growth` holds each step.
-    Up to three biquads at once are tried too, under a floor on |L| that reaches beyond its dips
-    (`loopshape.design.growth`); what ends better is taken.
+    Blocks that are added come one after the other; `growth` holds each step. Up to three biquads at once are tried
+    too, under a floor on |L| that reaches beyond its dips; what ends better is taken (the toolbox limits does it).
 
     Local searches: a better optimum elsewhere is possible.
     """
@@ -176,7 +166,10 @@ def tune(
     if start is not None:
         best = _no_worse(p, best, candidates[0].x, verifier)
     first = closed_in(task, Stage(copies, requirements, p, best, task.check(p, best), steps))
-    stages = _stages(task, first, search)
+    stages = [first]
+    if search.grow:
+        grow = needed("searches", "grow", "lets a structure grow", f"grow = {search.grow}")
+        stages = grow(task, first, search.grow, search.least_gain, search.seed, search.starts)
     last = stages[-1]
     if search.grow and explain and not last.verdict.passed:
         p, check_of = task.problem(last.copies, last.asked)
@@ -185,28 +178,6 @@ def tune(
     steps = sum(stage.steps for stage in stages)
     growth = tuple(step_of(stage) for stage in stages) if search.grow else ()
     return _tuning(last, why, len(candidates), steps, moved, growth)
-
-
-def _stages(task: Task, first: Stage, search: Search) -> list[Stage]:
-    """The first stage and what grows of it: block by block, or from several at once where that ends better."""
-    best, grow = _one_by_one(task, [first], search), search.grow
-    at_once = blockwise_growth(task, first, grow, np.random.default_rng([search.seed, 3])) if grow > 1 else None
-    if at_once is None:
-        return best
-    left = grow - (len(at_once.asked.structure) - len(first.asked.structure))
-    other = _one_by_one(task, [first, at_once], replace(search, grow=left))
-    return other if other[-1].rank < best[-1].rank and pays(other[-1], first, search.least_gain) else best
-
-
-def _one_by_one(task: Task, stages: list[Stage], search: Search) -> list[Stage]:
-    """Stages and those that grow of the last, a block each."""
-    for k in range(search.grow):
-        rng = np.random.default_rng([search.seed, 2, k])
-        larger = grown(task, stages[-1], search.least_gain, rng, search.starts)
-        if larger is None:
-            break
-        stages = [*stages, larger]
-    return stages
 
 
 def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:

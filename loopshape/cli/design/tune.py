@@ -13,8 +13,8 @@ from loopshape.cli.output import AsJson, DiagramFile, Output, ProfileName, Quiet
 from loopshape.cli.verify.check import report_verdicts
 
 if TYPE_CHECKING:
-    from loopshape.design.growth import Grown
     from loopshape.design.relax import Shortfall
+    from loopshape.design.stage import Grown
     from loopshape.design.tune import Tuning
     from loopshape.design.turns import TunedLoops, Turn
 

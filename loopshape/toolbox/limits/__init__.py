@@ -1,6 +1,6 @@
 """What is achievable: FRFs and requirements come in, the bandwidth that no controller exceeds goes out.
 
-A controller of a given order near that bound goes out too.
+A controller of a given order near that bound goes out too, and a tuned structure grows.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ TOOLBOX = Toolbox(
             30,
         ),
     ),
+    searches={"grow": "loopshape.toolbox.limits.growth:grow"},
     names={
         "Bound": "loopshape.toolbox.limits.bound",
         "bound": "loopshape.toolbox.limits.verbs",

@@ -20,13 +20,13 @@ from loopshape.data.control.controller import Controller
 from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
 from loopshape.data.response.model import Fit
-from loopshape.design.growth import library
 from loopshape.design.tune import Search, Tuning, tune
 from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
 from loopshape.toolbox.limits.bound import excluded
 from loopshape.toolbox.limits.bound_nodes import counted
 from loopshape.toolbox.limits.bound_reach import Reached, achieved, reached_at
+from loopshape.toolbox.limits.growth import library
 
 #: places across the band and dampings at which a new block is tried, steps of each trial and of the last fit
 PLACES, DAMPINGS, TRIAL, LAST = 10, (0.1, 0.6), 25, 300

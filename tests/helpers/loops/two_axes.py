@@ -20,3 +20,23 @@ def matrix(coupling, delays=(0.004, 0.006), name="one"):
     return ls.FRF(
         F, P, covariance, np.ones(F.size, dtype=bool), ("z_a", "z_b"), ("y_a", "y_b"), "known", name, "a+b", RATE
     )  # fmt: skip
+
+
+def required(name, **limits):
+    table = {
+        "name": name,
+        "integrators": 1,
+        "sensitivity_peak_db": 6.0,
+        "phase_margin_deg": 40.0,
+        "gain_margin_db": 5.0,
+        "control_peak_db": 60.0,
+        "structure": [
+            {"kind": "gain", "gain": {"min": 0.1, "max": 1000.0}},
+            {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 100.0}, "f2_hz": {"min": 5.0, "max": 400.0}},
+        ],
+    }
+    return ls.Requirements.from_table(table | limits)
+
+
+WISHES = (required("a"), required("b"))
+WHOLE = ls.Requirements(unstable_poles=0)

@@ -60,7 +60,7 @@ SENTENCES = (
 EXCEPT = {
     "io/write/verdicts.py": "keys of kept verdicts of version 1",
     "io/write/frf_words.py": "keys of FRF files of version 1",
-    "design/growth.py": "the growth of a structure, block by block",
+    "toolbox/limits/growth.py": "the growth of a structure, block by block",
     "toolbox/arm/dynamics/closed_loop.py": "quantities held constant over a step",
 }
 #: read again with the loop of n channels and its one reading

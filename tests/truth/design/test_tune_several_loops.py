@@ -5,31 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bench_nouns import Block
-from two_axes import RATE, F, matrix
+from two_axes import RATE, WHOLE, WISHES, F, matrix
 
 import loopshape as ls
 from loopshape.design.tune import Search, tune
 from loopshape.design.turns import tune_loops
 
-
-def required(name, **limits):
-    table = {
-        "name": name,
-        "integrators": 1,
-        "sensitivity_peak_db": 6.0,
-        "phase_margin_deg": 40.0,
-        "gain_margin_db": 5.0,
-        "control_peak_db": 60.0,
-        "structure": [
-            {"kind": "gain", "gain": {"min": 0.1, "max": 1000.0}},
-            {"kind": "lead_lag", "f1_hz": {"min": 1.0, "max": 100.0}, "f2_hz": {"min": 5.0, "max": 400.0}},
-        ],
-    }
-    return ls.Requirements.from_table(table | limits)
-
-
-WISHES = (required("a"), required("b"))
-WHOLE = ls.Requirements(unstable_poles=0)
 START = 2 * (ls.Controller("a", (Block("gain", {"gain": 20.0}),), RATE),)
 FEW = {"search": Search(starts=4, draws=20), "together": WHOLE}
 
@@ -91,19 +72,6 @@ def test_a_loop_without_wishes_stays_closed_as_it_is():
     assert {turn.others for turn in found.turns} == {("b",)}
     assert [c.loop for c in found.controllers] == ["a", "b"]
     assert found.controllers[1] is still
-
-
-def test_loops_grow_with_the_others_closed(coupled):
-    """The blocks that pay are added to each loop's structure in the first round, and tuned on in the others."""
-    frfs, _ = coupled
-    bare = [replace(one, structure=one.structure[:1]) for one in WISHES]
-    few = ls.tune(frfs, bare, starts=2, together=WHOLE)
-    grown = ls.tune(frfs, bare, starts=2, grow=1, together=WHOLE)
-    assert grown.feasible
-    for name in ("a", "b"):
-        first = next(turn.tuning for turn in grown.turns if turn.loop == name)
-        assert [len(first.growth), len(grown.tunings[name].structure)] == [2, 2]
-        assert grown.tunings[name].bandwidth_hz > 1.2 * few.tunings[name].bandwidth_hz
 
 
 def test_one_structure_may_serve_all_loops(coupled):

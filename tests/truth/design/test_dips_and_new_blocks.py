@@ -1,54 +1,19 @@
-"""A structure that grows gains at every step, passes the check of every step, and never loses what it had."""
+"""A dip of |L| below the bandwidth is seen, blocks begin where they do nothing, and a passed stage is ranked so."""
 
-from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from tune_plants import GAIN, LEAD, frf, problem_of, required, servo
+from tune_plants import GAIN, LEAD, problem_of, required
 
 import loopshape as ls
 from loopshape.data.control.controller import series_response
-from loopshape.design.growth import Stage
 from loopshape.design.problem.measures import measure
 from loopshape.design.problem.rows import DIP
+from loopshape.design.stage import Stage
 from loopshape.design.starts import neutral
-from loopshape.design.tune import Search, tune
 
 LIMITS = {"sensitivity_peak_db": 6.0, "control_peak_db": 20.0}
-
-
-@pytest.fixture(scope="module")
-def plant():
-    return frf(servo(1.0), 60, "one load", 0.5, 1500.0)
-
-
-@pytest.fixture(scope="module")
-def grown(plant):
-    return tune([plant], required(GAIN, LEAD, **LIMITS), explain=False, search=Search(starts=2, grow=1))
-
-
-def test_each_step_gains_and_the_first_is_the_tuning_without_growth(plant, grown):
-    alone = tune([plant], required(GAIN, LEAD, **LIMITS), explain=False, search=Search(starts=2))
-    assert grown.growth[0].added == ""
-    assert grown.growth[0].bandwidth_hz == alone.bandwidth_hz
-    found = [step.bandwidth_hz for step in grown.growth]
-    assert all(later > 1.009 * before for before, later in pairwise(found))
-    assert grown.growth[-1].order == grown.controller.order() > alone.controller.order() == 1
-
-
-def test_what_is_grown_passes_a_check_of_its_own(plant, grown):
-    verdict = ls.check([plant], grown.controller, required(GAIN, **LIMITS))
-    assert verdict.passed
-    assert min(m.bandwidth_hz for m in verdict.margins.values()) == pytest.approx(grown.bandwidth_hz, rel=0.05)
-
-
-def test_growth_stops_below_the_stated_gain(plant):
-    found = tune(
-        [plant], required(GAIN, LEAD, **LIMITS), explain=False, search=Search(starts=2, grow=1, least_gain=50.0)
-    )
-    assert len(found.growth) == 1
-    assert len(found.controller.blocks) == 2
 
 
 def test_a_dip_below_the_bandwidth_is_seen_and_its_slopes_are_exact():
