@@ -61,11 +61,3 @@ class Settling(Graded):
 
     SETTLED = "settled"
     NOT_SETTLED = "not settled"
-
-
-class Change(Graded):
-    """What became of something since a baseline."""
-
-    BETTER = "better"
-    UNCHANGED = "unchanged"
-    WORSE = "worse"

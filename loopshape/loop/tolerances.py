@@ -75,8 +75,6 @@ class Tolerances(NamedTuple):
     #: lines too uncertain are to be known to the first; more data do not help lines known as well as the second
     ordered_std: float = 0.05
     known_enough_std: float = 1e-4
-    #: chance that any margin is called changed although none has
-    changed_by_chance: float = 0.05
     #: a change counts as noticed where it is found this often
     power: float = 0.8
     #: without a change of the plant's gain of this size being noticed so often no prediction is confirmed

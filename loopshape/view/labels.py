@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 from loopshape.core.errors import WrongUseError
 from loopshape.core.units import SUFFIXES, TWO_PI
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.step import INDICATORS, Indicators
 from loopshape.data.signal.channel import Channel, sum_terms
 
 if TYPE_CHECKING:
@@ -193,19 +192,6 @@ def plus_minus(value: float, half_width: float) -> str:
     places = max(0, 1 + power - math.floor(math.log10(half_width)))
     text = f"{value / 10.0**power:.{places}f} ± {half_width / 10.0**power:.{places}f}"
     return f"({text})e{power:+d}" if power else text
-
-
-def indicator_texts(read: Indicators) -> list[str]:
-    """What was read off a step with its 95 % intervals, shares as percent, in the order of `INDICATORS`."""
-    return [_indicator(read, name, 100.0 if unit == "1" else 1.0) for name, unit in INDICATORS.items()]
-
-
-def _indicator(read: Indicators, name: str, scale: float) -> str:
-    value, interval = scale * getattr(read, name), read.intervals.get(name)
-    text = f"{value:.3g}" if abs(value) >= 5e-4 else "0"
-    if interval is None or scale * (interval[1] - interval[0]) < 5e-4:
-        return text
-    return f"{text} ({scale * interval[0]:.3g} .. {scale * interval[1]:.3g})"
 
 
 def root_rows(fit: Fit) -> list[list[str | None]]:

@@ -8,11 +8,10 @@ from pathlib import Path
 
 from loopshape.core.errors import LoopshapeError
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.outcomes import Change
 from loopshape.io.write.verdicts import read_verdicts
 from loopshape.loop.verdict import LoopCheck
 from loopshape.toolbox.validation.kept.baseline import bridge, compare
-from loopshape.toolbox.validation.kept.changes import Comparison
+from loopshape.toolbox.validation.kept.changes import Change, Comparison
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from math import hypot, inf, isfinite, isnan
 from statistics import NormalDist
 
-from loopshape.core.outcomes import Change, ClosedLoop
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.data.control.scheduled import Scheduled
 from loopshape.data.requirement.requirements import LIMIT_OF, Limit
 from loopshape.data.result.margins import Margins
 from loopshape.data.result.verdict import RequirementResult, Verdict
-from loopshape.loop.tolerances import TOL
-from loopshape.toolbox.validation.kept.changes import Comparison, LineChange, MarginChange, StabilityChange
+from loopshape.toolbox.validation.kept.changes import Change, Comparison, LineChange, MarginChange, StabilityChange
 
 
 def compare(before: Sequence[Verdict], now: Sequence[Verdict]) -> Comparison:
@@ -132,8 +131,9 @@ def _pairs(before: Verdict, now: Verdict) -> list[_Pair]:
 def _compared(pairs: Sequence[_Pair]) -> list[MarginChange]:
     known = [pair for pair in pairs if pair.known]
     uncertain = sum(pair.below > 0.0 or pair.above > 0.0 for pair in known)
-    one = NormalDist().inv_cdf(1.0 - 0.5 * TOL.changed_by_chance)
-    widen = NormalDist().inv_cdf(1.0 - 0.5 * TOL.changed_by_chance / max(uncertain, 1)) / one
+    chance = 0.05  # that any margin is called changed although none has
+    one = NormalDist().inv_cdf(1.0 - 0.5 * chance)
+    widen = NormalDist().inv_cdf(1.0 - 0.5 * chance / max(uncertain, 1)) / one
     return [_compare(pair, widen) for pair in known]
 
 

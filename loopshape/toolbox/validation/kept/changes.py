@@ -7,10 +7,18 @@ from dataclasses import dataclass
 from typing import Any
 
 from loopshape.core.json_ready import Plain, keys
-from loopshape.core.outcomes import Change, ClosedLoop
+from loopshape.core.outcomes import ClosedLoop, Graded
 from loopshape.data.result.baseline import Case
 from loopshape.data.result.verdict import RequirementResult
 from loopshape.data.result.verdict_words import PRINTED, row_of
+
+
+class Change(Graded):
+    """What became of something since a baseline."""
+
+    BETTER = "better"
+    UNCHANGED = "unchanged"
+    WORSE = "worse"
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,10 @@ from loopshape.toolbox.validation.predicted.nouns import Prediction
 from loopshape.view.key import count, curve, key_of, place_key
 from loopshape.view.labels import symbol
 from loopshape.view.plots.curves import draw_band, fit_decibels, frequency_axis, magnitude_band_db
-from loopshape.view.style import COLOURS, FULL_WIDTH_IN, head, styled
+from loopshape.view.style import FULL_WIDTH_IN, head, styled
 
 #: up to so many curves carry their bands
 BANDS = 3
-_PREDICTED, _MEASURED = COLOURS[0], COLOURS[1]
-_COLUMNS, _MOST = 3, 9
 
 
 @styled()
