@@ -100,7 +100,8 @@ def shortfall(
 ) -> tuple[TightenedSolution, Shortfall | None]:
     """The controller that misses least, and why the requirements were not met.
 
-    None where they can be met after all, and where it is stability alone that these data do not decide.
+    None where they can be met after all, and where it is only stability, or what holes between lines may hide, that
+    these data do not decide.
     """
     least = _least_miss(p, [settled.result, *ends[:ENDS]], Goal(settled.tighten, objective=False, soft=None))
     if least is None:
@@ -112,7 +113,7 @@ def shortfall(
         )
         if again.verdict.passed:
             return again, None
-        if not any(line.slack < 0.0 for line in again.verdict.lines):  # stability alone is not decided
+        if not any(line.slack < 0.0 and line.measure_from_hz is None for line in again.verdict.lines):
             return min([settled, again], key=lambda one: one.rank), None
     verified = TightenedSolution(least, check_of(p.requirements)(p.controller(least.x)), settled.tighten)
     pulls, helps = _certificate(p, least, settled.tighten)
@@ -198,6 +199,8 @@ def _relaxation(
             if verified:  # what that controller leaves of this one need not be given away
                 by = max(by - slack * (1.0 - 1e-9), 0.0)
                 reachable = now + (by if limit.sense == "at_most" else -by)
+                break
+            if not np.isfinite(slack):  # nothing bounds it, whatever it gives
                 break
             by = max(1.05 * by, by - 1.1 * min(slack, 0.0))
     return Relaxation(name, limit.unit, now, reachable, verified, float(bandwidth_hz))

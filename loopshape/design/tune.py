@@ -28,8 +28,12 @@ from loopshape.design.search import SearchResult, initial_point
 from loopshape.design.stage import Grown, Stage, Task, closed_in, lowest_bandwidth, step_of
 from loopshape.design.starts import random_starts, settled, tournament
 from loopshape.design.tighten import TightenedSolution, Verifier, norm
+from loopshape.loop.loop import Loop
 from loopshape.loop.loops import loops_of
+from loopshape.loop.stability.low_end import sign_at_0
 from loopshape.loop.verdict import refuse_too_high
+
+TURNED = BlockTemplate("gain", {"gain": -1.0})
 
 
 @dataclass(frozen=True)
@@ -145,6 +149,9 @@ def tune(
     Blocks that are added come one after the other; `growth` holds each step. Up to three biquads at once are tried
     too, under a floor on |L| that reaches beyond its dips; what ends better is taken (the toolbox limits does it).
 
+    To plants whose lowest lines show a reversed sign (-k/s^n) a structure without a gain of -1 gets one: the verdict's
+    warnings say so.
+
     Local searches: a better optimum elsewhere is possible.
     """
     if not frfs:
@@ -152,6 +159,11 @@ def tune(
     unit = _unit(frfs, requirements, start)
     refuse_too_high(requirements, unit)
     loops, notes = loops_of(frfs, unit, requirements, fits)
+    if _is_turned(loops, requirements.structure, start):
+        requirements = replace(requirements, structure=(*requirements.structure, TURNED))
+        notes += (
+            f"the plant of loop {requirements.loop} has a reversed sign: a gain of -1 was added to the structure",
+        )
     precision = "double" if start is None else start.precision
     task = Task(tuple(frfs), tuple(fits), requirements, tuple(loops), notes, unit, precision, tuple(disturbances))
     copies = copies_for(requirements, len(loops))
@@ -178,6 +190,16 @@ def tune(
     steps = sum(stage.steps for stage in stages)
     growth = tuple(step_of(stage) for stage in stages) if search.grow else ()
     return _tuning(last, why, len(candidates), steps, moved, growth)
+
+
+def _is_turned(loops: Sequence[Loop], structure: Sequence[BlockTemplate], start: Controller | None) -> bool:
+    """Whether a structure of positive gains lacks the sign that the plants need, or that the start has."""
+    if not structure or any(t.kind == "gain" and t.parameters["gain"] == -1.0 for t in structure):
+        return False
+    if start is None:
+        return all(sign_at_0(loop) < 0 for loop in loops)
+    more = Counter(block.kind for block in start.blocks) - Counter(template.kind for template in structure)
+    return more == Counter(["gain"]) and any(block == Block("gain", {"gain": -1.0}) for block in start.blocks)
 
 
 def _unit(frfs: Sequence[FRF], requirements: Requirements, start: Controller | None) -> Controller:

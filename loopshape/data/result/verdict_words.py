@@ -122,7 +122,8 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
         return f"{value:.4g}" if tiny else notation.figures(factor * value)
 
     limit, bound = LIMIT_OF.get(line.quantity), line.bound
-    ends = notation._replace(figures=lambda value: figures(value / factor)).interval(line.span, factor)
+    span = None if line.span == (-inf, inf) else line.span
+    ends = notation._replace(figures=lambda value: figures(value / factor)).interval(span, factor)
     sign = "> " if line.beyond else notation.sign(line.value, bound)
     known = isfinite(line.value) or (line.value == line.value and bound is None)
     unknown = line.outcome.word if line.outcome is Outcome.UNDECIDED else "no bound"
@@ -132,7 +133,7 @@ def row_of(line: RequirementResult, notation: Notation = PRINTED) -> Row:
         "" if limit is None else notation.senses[limit.sense == "at_most"],
         figures(line.required),
         sign + figures(line.value) if known else unknown,
-        ends + ("" if bound is None else " (bound)"),
+        ends + ("" if bound is None or span is None else " (bound)"),
         figures(line.slack) if known else notation.nothing,
         line.recording,
         line.at_hz,

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from loopshape.core.units import Array, ComplexArray, db, deg, from_db, rad
+from loopshape.core.units import Array, ComplexArray, db, deg, rad
 from loopshape.data.requirement.requirements import LIMIT_OF
 from loopshape.design.problem.problem import Problem
 
@@ -93,7 +93,9 @@ def required(p: Problem, name: str, tighten: Tighten) -> Array:
 def scaled(name: str, value: Array) -> Array:
     """A limit as rows count it: ln of a magnitude or a ratio, rad of an angle."""
     unit = LIMIT_OF[name].unit
-    return rad(value) if unit == "deg" else np.log(from_db(value)) if unit == "dB" else np.log(np.maximum(value, LEAST))
+    if unit == "dB":
+        return value * np.log(10.0) / 20.0
+    return rad(value) if unit == "deg" else np.log(np.maximum(value, LEAST))
 
 
 def slack_of(name: str, limit: float | Array, room: float | Array) -> Array:
