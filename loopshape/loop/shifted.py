@@ -19,7 +19,7 @@ from loopshape.identify.smooth.resonances import Phase, Resonance, resonances
 from loopshape.loop.loop import Loop
 from loopshape.loop.margin.between import interpolated
 from loopshape.loop.margin.margins import Reader
-from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, low_models, poles_at_0
+from loopshape.loop.stability.low_end import BELOW_RATIOS, in_sight, is_large, low_models, poles_at_0
 from loopshape.loop.stability.stability import count_unstable, swing_near
 from loopshape.loop.tolerances import TOL
 
@@ -47,7 +47,7 @@ class Plant:
     """Lines f (nf,) in Hz and P (nf,) that margins are read from, with the deviation (nf,) of P.
 
     `interpolated` are resonances narrower than the lines. `below_hz` and `P_below` (nb,) lead below the first line,
-    `above_hz` above the last.
+    `above_hz` above the last. `ahead_of` of the lines lie before the first one that was measured.
     `errors` (draws, n) are of n lines, of which f are the `at` (nf,)-th and a `share` (nf,) of the way to the next.
     """
 
@@ -61,6 +61,7 @@ class Plant:
     interpolated: tuple[Resonance, ...] = ()
     at: np.ndarray | None = None
     share: Array | None = None
+    ahead_of: int = 0
 
     @property
     def draws(self) -> ComplexArray | None:
@@ -161,13 +162,14 @@ def plant_of(loop: Loop, seen: Sequence[Resonance]) -> Plant:
         dense, _ = interpolated(loop)
         f, P, draws = dense.frequency_hz, dense.response, dense.deviations[: TOL.shifted_draws]
         std = np.interp(f, loop.frequency_hz, std)
-    for model in low_models(loop)[:1] if abs(loop.L[0]) < 1.0 and in_sight(loop) else ():
+    ahead_of = 0  # as margins of the unmoved loop have it: what a bound there hides is no bias
+    for model in low_models(loop)[:1] if not is_large(loop) and in_sight(loop) else ():
         below = float(f[0]) * BELOW_RATIOS[poles_at_0(loop) > 0 :]  # down to 0 Hz where L is finite there
         ahead = model.response(below)
         std = np.concatenate([std[0] * np.abs(ahead / P[0]), std])
         draws = None if draws is None else np.concatenate([ahead / P[0] * draws[:, :1], draws], axis=1)
-        f, P = np.concatenate([below, f]), np.concatenate([ahead, P])
-    return Plant(f, P, std, draws, loop.below_hz, loop.P_below, loop.above_hz, tuple(narrow))
+        f, P, ahead_of = np.concatenate([below, f]), np.concatenate([ahead, P]), below.size
+    return Plant(f, P, std, draws, loop.below_hz, loop.P_below, loop.above_hz, tuple(narrow), ahead_of=ahead_of)
 
 
 def seen_resonances(loop: Loop) -> tuple[Resonance, ...]:
@@ -192,7 +194,8 @@ def read(loop: Loop, plant: Plant, reader: Reader) -> ShiftedColumns:
         clear = float(np.min(np.abs(1.0 + L) / (np.abs(C) * plant.std[: f.size])))
     integrators = (loop.integrators or 0) + loop.controller.integrators()
     near = 0.0 if plant.P_below.size else swing_near(loop)
-    poles = count_unstable(L, integrators, loop.unstable_poles or 0, C_below * plant.P_below, near)
+    counted = L[plant.ahead_of :] if abs(L[plant.ahead_of]) >= 1.0 else L  # it says how L starts by its first value
+    poles = count_unstable(counted, integrators, loop.unstable_poles or 0, C_below * plant.P_below, near)
     return ShiftedColumns(found[0], at[0], poles, clear)
 
 

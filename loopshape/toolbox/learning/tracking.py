@@ -7,21 +7,30 @@ over its lines, as `check` reads it, and the FRF's error is carried by draws of 
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from loopshape.core.errors import WrongUseError
+from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import Array, ComplexArray
 from loopshape.data.arrays import real_array
 from loopshape.data.control.controller import Controller
+from loopshape.data.requirement.requirements import Requirements
 from loopshape.data.response.frf import FRF
+from loopshape.data.response.smoothed import FEWEST, Dense, Scatter
 from loopshape.identify.smooth.smoothing import smoothed
+from loopshape.loop.loops import loops_of
 from loopshape.loop.stability.continued import continued, integrators_of
+from loopshape.loop.stability.low_end import low_frequency_models
+from loopshape.loop.stability.stability import closed_loop_stability
 from loopshape.toolbox.learning.taps import Feedforward
 
 Interval = tuple[float, float]
+#: draws of what lies between the lines of an FRF without error
+FEWEST_DRAWS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,11 +67,12 @@ def tracking_error_of(
     feedforward: Feedforward | None = None,
     *,
     integrators: int | None = None,
+    unstable_poles: int | None = None,
 ) -> TrackingError:
-    """The error of a stable loop along a setpoint (n,) at the controller's rate, from rest to rest.
+    """The error of a loop along a setpoint (n,) at the controller's rate, from rest to rest.
 
-    The error must have died out at the setpoint's end. Raises WrongUseError for a feedforward at
-    another rate.
+    Raises WrongUseError for a feedforward at another rate, for a loop that is unstable, where the error has not died
+    out at the setpoint's end, and where more of its power than a step from lines may have lies below them, unseen.
     """
     if feedforward is not None and feedforward.rate_hz != C.rate_hz:
         raise WrongUseError(
@@ -72,30 +82,88 @@ def tracking_error_of(
     r = real_array(setpoint, "the setpoint", ndim=1)
     if r.size < 16:
         raise WrongUseError("a setpoint has 16 samples at least", f"{r.size}")
+    _refuse_unstable(P, C, integrators, unstable_poles)
     lines, scatter = smoothed(P)
     f = np.asarray(np.fft.rfftfreq(2 * r.size, 1.0 / C.rate_hz)[1:-1], dtype=float)
     spectrum = np.fft.rfft(np.concatenate([r, r[-1] + r[0] - r]))[1:-1]
-    there = continued(lines, f, integrators_of(lines) if integrators is None else integrators, smooth=True)
-    F = np.zeros(f.size) if feedforward is None else feedforward.response(f)
+    none = np.zeros(f.size, dtype=complex)
+    F = none if feedforward is None else feedforward.response(f)
     gain = C.response(f)
 
-    def error(plant: ComplexArray) -> Array:
+    def error(plant: ComplexArray, F: ComplexArray) -> Array:
         whole = np.zeros(f.size + 2, dtype=complex)
-        whole[1:-1] = (1.0 - plant * F) / (1.0 + gain * plant) * spectrum
-        return np.asarray(np.fft.irfft(whole, 2 * r.size)[: r.size], dtype=float)
+        through = (1.0 - plant * F) / (1.0 + gain * plant)
+        whole[1:-1] = through * spectrum
+        swings = np.asarray(np.fft.irfft(whole, 2 * r.size)[: r.size], dtype=float)  # about no mean: it begins at rest
+        return swings - swings[0] + float(through[0].real) * r[0]
 
-    off = there.spread(scatter.deviations / scatter.reference)
-    drawn = np.array([error(there.response * (1.0 + one)) for one in off])
-    own = error(there.response)
-    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
-    rms, most = np.sqrt(np.mean(drawn**2, axis=1)), np.abs(drawn).max(axis=1)
+    plants = list(_plants(P.valid_lines(), lines, scatter, f, integrators))
+    _refuse_alive(error(plants[0][0], none))
+    own = error(plants[0][0], F)
+    each = [np.array([error(plant * (1.0 + one), F) for one in off]) for plant, off in plants]
+    ends = np.array([np.quantile(one, (0.025, 0.975), axis=0) for one in each])
+    rms, most = [np.sqrt(np.mean(one**2, axis=1)) for one in each], [np.abs(one).max(axis=1) for one in each]
     both = feedforward is None
     return TrackingError(
-        np.arange(r.size) / C.rate_hz, own, low, high,
-        float(np.median(rms)), _ends(rms, both), float(np.median(most)), _ends(most, both),
+        np.arange(r.size) / C.rate_hz, own, ends[:, 0].min(axis=0), ends[:, 1].max(axis=0),
+        float(np.median(rms[0])), _ends(rms, both), float(np.median(most[0])), _ends(most, both),
     )  # fmt: skip
 
 
-def _ends(values: Array, both: bool) -> Interval:
-    low, high = np.quantile(values, (0.025, 0.975))
-    return float(low) if both else 0.0, float(high)
+def _refuse_unstable(P: FRF, C: Controller, integrators: int | None, unstable_poles: int | None) -> None:
+    required = Requirements(loop=C.loop, integrators=integrators, unstable_poles=unstable_poles)
+    (loop,), _ = loops_of([P], C, required)
+    stability = closed_loop_stability(loop)
+    if stability.outcome is ClosedLoop.UNSTABLE:
+        raise WrongUseError(
+            f"loop {C.loop!r} is unstable, its error does not end", stability.reason, "look at `ls.check`"
+        )
+
+
+def _refuse_alive(error: Array) -> None:
+    still, size = 0.02, float(np.abs(error).max())
+    moved = float(np.ptp(error[-max(2, error.size // 20) :]))
+    if moved > still * size:
+        raise WrongUseError(
+            "the error must have died out at the setpoint's end",
+            f"it moves by {moved:.3g} of {size:.3g} over the last twentieth",
+            "give the setpoint a longer rest, or look at `ls.check` whether the loop is stable",
+        )
+
+
+def _plants(
+    measured: FRF, lines: FRF, scatter: Scatter, f: Array, integrators: int | None
+) -> Iterator[tuple[ComplexArray, ComplexArray]]:
+    """What the plant may be at f (nf,), each with draws (draws, nf) of its relative error; the likeliest first.
+
+    They differ where there is no line: below the first by the small models that follow the lowest ones, with one
+    integrator more or less where none is declared; above the last P falls as 1/f² or stays. Between lines half of how
+    far a spline lies off a straight line is an error of its own.
+    """
+    order = integrators_of(lines) if integrators is None else integrators
+    there = continued(lines, f, order, smooth=True)
+    P = there.response.copy()
+    draws = scatter.deviations if len(scatter.deviations) > 1 else np.zeros((FEWEST_DRAWS, lines.siso.size), complex)
+    off = there.spread(draws / scatter.reference)
+    first, last = lines.frequency_hz[0], lines.frequency_hz[-1]
+    inside = (f >= first) & (f <= last)
+    if lines.frequency_hz.size >= FEWEST:
+        dense = scatter.dense or Dense(lines.frequency_hz, lines.siso, scatter.reference, draws)
+        among = dense.at(f[inside])
+        P[inside], off[:, inside] = among.response, among.deviations / among.reference
+    yield P, off
+    off = off[::4]  # the others take a quarter of the draws: what counts is how they differ
+    flat = P.copy()
+    flat[f > last] = lines.siso[-1]
+    yield flat, off
+    below = f < first
+    orders = (order,) if integrators is not None else tuple(k for k in (order, order - 1, order + 1) if k >= 0)
+    for model in (one for k in orders for one in low_frequency_models(measured, k)):
+        lower = P.copy()
+        lower[below] = lines.siso[0] * model.response(f[below]) / model.response(np.array([first]))
+        yield lower, off
+
+
+def _ends(values: Sequence[Array], both: bool) -> Interval:
+    low, high = np.transpose([np.quantile(one, (0.025, 0.975)) for one in values])
+    return float(low.min()) if both else 0.0, float(high.max())

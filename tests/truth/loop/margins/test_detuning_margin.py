@@ -242,3 +242,29 @@ def test_a_loop_below_1_down_to_0_hz_loses_nothing(gain, relative):
     assert verdict.outcome == ls.Outcome.PASSED
     assert found.up.beyond
     assert found.down.beyond
+
+
+def test_what_bounds_a_loop_below_its_first_line_is_no_bias_of_shifted_ones():
+    """|L| is 1.5 at the first line: shifted loops were read with the bound |L| - 1 there, which hid what breaks at 5 %
+    of shift (by |1 + L| on a dense grid), and a reach of 8.4 % was reported as known to 0.01 %."""
+    C = ls.controller(
+        ls.gain(1.014), ls.pi(0.407), ls.notch(29.25, damping1=0.0209, damping2=0.1), rate_hz=2000.0, loop="axis"
+    )
+
+    def plant(f):
+        x, y = 1j * f / 29.3, 1j * f / 23.7
+        return (1.0 + 0.0276 * y + y * y) / (1.0 + 0.014 * x + x * x) / (1.0 + 1j * f / 18.6) * np.exp(-1e-3j * np.pi * f)
+
+    def modulus(percent):
+        f = np.concatenate([np.geomspace(0.01, 999.0, 20_000), np.linspace(20.0, 40.0, 40_000)])
+        return np.abs(1.0 + C.response(f) * plant(f / (1.0 + percent / 100.0))).min()
+
+    assert modulus(4.8) > 0.81 > modulus(5.1)
+    f_hz, rng = np.geomspace(1.0, 900.0, 800), np.random.default_rng(1)
+    d = 0.005 * rng.standard_normal((2, 800)) / np.sqrt(2.0)
+    P = ls.FRF.from_arrays(f_hz, plant(f_hz) * (1.0 + d[0] + 1j * d[1]), relative_std=0.005, rate_hz=2000.0, loop="axis")
+    asked = ls.Requirements("axis", modulus_margin=0.81, unstable_poles=0, integrators=0, detuning_percent=6.0)
+    verdict = ls.check(P, C, asked)
+    (margins,) = verdict.margins.values()
+    assert margins.detuning.up.percent == pytest.approx(5.0, abs=0.15)
+    assert {row.quantity: str(row.outcome) for row in verdict.lines}["detuning_percent"] == "failed"

@@ -3,7 +3,7 @@
 import { clip, concat, placeIn, plus, times, type Complex, type Real } from "../numbers/arrays";
 import * as control from "../numbers/controller";
 import { addPole, Drawn, type Dense, type Draws } from "../numbers/dense";
-import { interpolated, inSight, largestAbove, type Loop, type Plant } from "./loop";
+import { interpolated, inSight, isLarge, largestAbove, type Loop, type Plant } from "./loop";
 import { aboveHz } from "./margins";
 import type { Seen } from "../payload";
 import type { Reader } from "./limits";
@@ -33,6 +33,7 @@ interface Lines {
   belowF: Real;
   belowP: Complex | null;
   aboveF: Real;
+  aheadOf: number; // lines before the first one that was measured
 }
 
 /** What a controller makes of lines that stand at a place. */
@@ -108,7 +109,9 @@ export class Moved {
       if (!(share >= clear)) clear = share;
     }
     const below = belowC && belowP && times(belowC, belowP);
-    const poles = countUnstable(L, integrators, point.unstable_poles ?? 0, below, plant.source.constants.fit_deg, below ? 0 : swingNear(loop));
+    const from = Math.hypot(L.re[lines.aheadOf], L.im[lines.aheadOf]) >= 1 ? lines.aheadOf : 0;
+    const counted = { re: L.re.subarray(from), im: L.im.subarray(from) }; // it says how L starts by its first value
+    const poles = countUnstable(counted, integrators, point.unstable_poles ?? 0, below, plant.source.constants.fit_deg, below ? 0 : swingNear(loop));
     const made = { values: found, poles, clear };
     this.readings.set(percent, made);
     return made;
@@ -174,7 +177,7 @@ export function seenResonances({ point, controller, plant }: Loop): Seen[] {
 function linesOf(loop: Loop, plant: Plant): Lines {
   const { point, controller } = loop;
   const dense = interpolated(fewerDraws(plant.dense, plant.source.constants.detuning.draws), controller, plant.source);
-  const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws };
+  const own = { f: dense.f, P: dense.P, std: deviations(plant, dense.f), draws: dense.draws as Draws, aheadOf: 0 };
   return {
     ...withExtrapolated(loop, own),
     belowF: point.fitted_f,
@@ -198,12 +201,12 @@ function deviations({ point, dense }: Plant, at: Real): Real {
   });
 }
 
-type Known = Pick<Lines, "f" | "P" | "std" | "draws">;
+type Known = Pick<Lines, "f" | "P" | "std" | "draws" | "aheadOf">;
 
 /** The lines with those before them where a model leads to the first one: as unsure as that. */
 function withExtrapolated(loop: Loop, own: Known): Known {
   const [model] = loop.point.extrapolated;
-  if (!model || Math.hypot(loop.L.re[0], loop.L.im[0]) >= 1 || !inSight(loop)) return own;
+  if (!model || isLarge(loop) || !inSight(loop)) return own;
   const skipped = loop.integrators > 0 ? 1 : 0;
   const ahead = { re: model.P.re.subarray(skipped), im: model.P.im.subarray(skipped) };
   const below_f = Float64Array.from(loop.plant.source.constants.below_ratios.slice(skipped), (share) => loop.f[0] * share);
@@ -223,5 +226,6 @@ function withExtrapolated(loop: Loop, own: Known): Known {
     P: { re: concat(ahead.re, own.P.re), im: concat(ahead.im, own.P.im) },
     std: concat(share.re.map((x, k) => own.std[0] * Math.hypot(x, share.im[k])), own.std),
     draws: [...draws, ...own.draws],
+    aheadOf: below_f.length,
   };
 }
