@@ -8,6 +8,7 @@ from textwrap import fill
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
 
 from loopshape.core.units import Array
 from loopshape.toolbox.gap.nouns.gap_report import Curve, GapReport, Ranked, Trace
@@ -226,6 +227,8 @@ def missing(report: GapReport, curve: Curve, *, ax: Axes | None = None) -> Axes:
     low, high = min(float(y.min()) for y in ends), max(float(y.max()) for y in ends)
     room = ROOM * max(high - low, 1e-12)  # an interval that is wider tells no more
     ax.set_ylim(low - room, high + room)
+    # whole numbers at each tick: a power of ten above the axis would stand in the title
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:.3g}".replace("-", "\N{MINUS SIGN}")))
     return ax
 
 
