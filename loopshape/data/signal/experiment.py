@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any
-
-import numpy as np
 
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
@@ -61,16 +59,6 @@ class LoopSetup:
     def output_unit(self) -> str:
         """Suffix of the output's unit; the terms of a sum must share it."""
         return shared_unit(self.output, f"the output of loop {self.name!r}")
-
-
-def decoupling_matrix(loops: Sequence[LoopSetup]) -> Array:
-    """What enters the plant of the controllers' outputs, (loops, loops); the identity where nothing is decoupled."""
-    names = [loop.name for loop in loops]
-    return np.array([[_weight(loop, name) for name in names] for loop in loops])
-
-
-def _weight(loop: LoopSetup, name: str) -> float:
-    return float(loop.decoupling.get(name, 0.0)) if loop.decoupling else float(loop.name == name)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -11,11 +11,12 @@ import numpy as np
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.units import Array
 from loopshape.data.control.controller import Block, Controller
-from loopshape.data.signal.experiment import Experiment, LoopSetup, decoupling_matrix, shared_unit
+from loopshape.data.signal.experiment import Experiment, LoopSetup, shared_unit
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.arm.dynamics import closed_loop as kernel
 from loopshape.toolbox.gap.noise import start_state
 from loopshape.toolbox.gap.nouns.plant import ParameterTable
+from loopshape.toolbox.rig.settings import decoupling_matrix
 from loopshape.toolbox.schedules.gain_scheduled import Follows, GainScheduled
 
 #: what drives an arm: its controllers, what goes in, and the pulses

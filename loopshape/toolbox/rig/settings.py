@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from math import inf
 from typing import TYPE_CHECKING, ClassVar
 
+import numpy as np
+
 from loopshape.core.errors import WrongUseError, refuse_unknown
 from loopshape.core.gate import Count
-from loopshape.core.units import SUFFIXES, deg
+from loopshape.core.units import SUFFIXES, Array, deg
 from loopshape.data.signal.channel import Channel
 
 if TYPE_CHECKING:
-    from loopshape.data.signal.experiment import Experiment
+    from loopshape.data.signal.experiment import Experiment, LoopSetup
     from loopshape.toolbox.rig.simulated import Planned
     from loopshape.toolbox.rig.target.messages import Identity
 
@@ -102,3 +104,13 @@ class Motion:
 
 #: whether a motion may begin
 Confirm = Callable[[Motion], bool]
+
+
+def decoupling_matrix(loops: Sequence[LoopSetup]) -> Array:
+    """What enters the plant of the controllers' outputs, (loops, loops); the identity where nothing is decoupled."""
+    names = [loop.name for loop in loops]
+    return np.array([[_weight(loop, name) for name in names] for loop in loops])
+
+
+def _weight(loop: LoopSetup, name: str) -> float:
+    return float(loop.decoupling.get(name, 0.0)) if loop.decoupling else float(loop.name == name)

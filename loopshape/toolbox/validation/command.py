@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.toolbox.validation.predicted.command import STEP_COLUMNS, indicator_texts
+from loopshape.toolbox.validation.predicted.command import STEP_COLUMNS
 
 if TYPE_CHECKING:
     from loopshape.toolbox.validation.nouns import Comparison, StepComparison
@@ -119,6 +119,8 @@ def _row(c: Comparison) -> list[Any]:
 
 
 def _step_row(s: StepComparison) -> list[Any]:
+    from loopshape.toolbox.validation.predicted.nouns import indicator_texts
+
     cells = indicator_texts(s.measured)
     if s.predicted is not None:
         pairs = zip(cells, indicator_texts(s.predicted.indicators), strict=True)

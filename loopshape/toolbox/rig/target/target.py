@@ -15,10 +15,10 @@ import numpy as np
 from loopshape.core.errors import RigError, WrongUseError
 from loopshape.core.units import Array
 from loopshape.data.signal.channel import sum_terms
-from loopshape.data.signal.experiment import Experiment, LoopSetup, decoupling_matrix
+from loopshape.data.signal.experiment import Experiment, LoopSetup
 from loopshape.data.signal.recording import Recording, RecordingInfo
 from loopshape.toolbox.diagrams.wired import Wired
-from loopshape.toolbox.rig.settings import TargetSettings
+from loopshape.toolbox.rig.settings import TargetSettings, decoupling_matrix
 from loopshape.toolbox.rig.steps.supervisor import Supervisor
 from loopshape.toolbox.rig.target import messages
 from loopshape.toolbox.rig.target.acquisition import KEPT_REASONS, Acquisition, Arrived

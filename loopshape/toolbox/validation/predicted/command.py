@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from loopshape.cli.output import AsJson, Output, Quiet, RunFolder, point
-from loopshape.data.result.step import INDICATORS, Indicators
 
 if TYPE_CHECKING:
     from loopshape.toolbox.validation.predicted.nouns import Prediction
@@ -44,6 +43,8 @@ def predict(
 
 
 def _report(made: Sequence[Prediction], output: Output) -> None:
+    from loopshape.toolbox.validation.predicted.nouns import indicator_texts
+
     for loop in dict.fromkeys(one.loop for one in made):
         mine = [one for one in made if one.loop == loop]
         rows = [
@@ -65,16 +66,3 @@ def _report(made: Sequence[Prediction], output: Output) -> None:
 
 
 STEP_COLUMNS = ("t_r [s]", "t_s 2 % [s]", "t_s 5 % [s]", "overshoot [%]", "e_ss [%]")
-
-
-def indicator_texts(read: Indicators) -> list[str]:
-    """What was read off a step with its 95 % intervals, shares as percent, in the order of `INDICATORS`."""
-    return [_indicator(read, name, 100.0 if unit == "1" else 1.0) for name, unit in INDICATORS.items()]
-
-
-def _indicator(read: Indicators, name: str, scale: float) -> str:
-    value, interval = scale * getattr(read, name), read.intervals.get(name)
-    text = f"{value:.3g}" if abs(value) >= 5e-4 else "0"
-    if interval is None or scale * (interval[1] - interval[0]) < 5e-4:
-        return text
-    return f"{text} ({scale * interval[0]:.3g} .. {scale * interval[1]:.3g})"

@@ -12,7 +12,7 @@ from loopshape.core.outcomes import ClosedLoop
 from loopshape.core.units import db
 from loopshape.data.control.controller import Controller
 from loopshape.data.response.frf import FRF
-from loopshape.data.result.step import Step
+from loopshape.data.result.step import INDICATORS, Indicators, Step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -75,3 +75,16 @@ class Prediction(Plain):
     def recording(self) -> str:
         """The recording that it was predicted from."""
         return self.sensitivity.recording
+
+
+def indicator_texts(read: Indicators) -> list[str]:
+    """What was read off a step with its 95 % intervals, shares as percent, in the order of `INDICATORS`."""
+    return [_indicator(read, name, 100.0 if unit == "1" else 1.0) for name, unit in INDICATORS.items()]
+
+
+def _indicator(read: Indicators, name: str, scale: float) -> str:
+    value, interval = scale * getattr(read, name), read.intervals.get(name)
+    text = f"{value:.3g}" if abs(value) >= 5e-4 else "0"
+    if interval is None or scale * (interval[1] - interval[0]) < 5e-4:
+        return text
+    return f"{text} ({scale * interval[0]:.3g} .. {scale * interval[1]:.3g})"
