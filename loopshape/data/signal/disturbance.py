@@ -114,7 +114,8 @@ class Disturbance:
         """The error (n,) of a loop without excitation, about its mean, at a rate in Hz.
 
         `control` (n,) is the plant's input: its mean is where an actuator works. Without `recorded_under` the error is
-        the output of the open loop. Refuses fewer than 512 samples.
+        the output of the open loop. Refuses fewer than 512 samples, and an error
+        that never changes.
 
         >>> import numpy as np, loopshape as ls
         >>> error = np.random.default_rng(1).standard_normal(1000)
@@ -124,6 +125,11 @@ class Disturbance:
         values = real_array(error, "the error of a loop", ndim=1)
         if values.size < LEAST_SAMPLES:
             raise WrongUseError(f"a disturbance needs {LEAST_SAMPLES} samples", f"{values.size}", "record for longer")
+        if np.ptp(values) == 0.0:
+            raise WrongUseError(
+                "a recorded error that never changes tells nothing of what disturbs the loop",
+                f"{values.size} times {values[0]:g}", "look for a dead sensor, or one whose step is too large",
+            )  # fmt: skip
         if not 0.0 < rate_hz < np.inf:
             raise WrongUseError("rate_hz of a disturbance must be positive and finite", f"{rate_hz!r}")
         return cls(
@@ -166,6 +172,20 @@ class Disturbance:
     def rate_hz(self) -> float | None:
         """Rate of its samples in Hz, None of a spectrum."""
         return self.samples.size / (self.duration_s * (1 + self.repeats)) if self.samples.size else None
+
+    @property
+    def step(self) -> float:
+        """Least distance of two values of its samples, in the output's unit: a sensor's step; 0 of a spectrum.
+
+        An error whose rms is smaller moves within the step, unseen, and rounding is no noise that adds to it.
+        """
+        gaps = np.diff(np.unique(self.samples))
+        return float(gaps[gaps > 1e-9 * np.ptp(self.samples)].min()) if self.samples.size else 0.0
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the sensor's step is larger than the rms of what it recorded."""
+        return not self.repeats and self.step > self.rms
 
     @property
     def rms(self) -> float:

@@ -48,13 +48,15 @@ class Disturbed:
     """What a disturbance makes of a loop: readings by the names of their limits.
 
     `outside` is the share of the error's power outside the FRF's band; `unlike` says that the recorded one is not like
-    Gaussian noise, `away` that the loop runs away as its actuator saturates.
+    Gaussian noise, `coarse` that the sensor's step is larger than its rms, `away` that the loop runs away as its
+    actuator saturates.
     """
 
     readings: Mapping[str, Reading]
     outside: float
     unlike: bool = False
     away: bool = False
+    coarse: bool = False
 
 
 class _Power(NamedTuple):
@@ -82,7 +84,8 @@ class Carried:
     `error` is the error under the new ones and `before` that under the old, as amplitudes whose squares are power;
     `scatter` is the variance of the power under the new ones. `moves` (k, nf) is how far relative errors of the plant's
     k elements, of `covariance` (lines, k, k) on the FRF's own lines, move `error`; `flat` is `error` were the plant
-    above its last line as it is there.
+    above its last line as it is there. `unseen` (nf,) is the rms of the error that
+    the sensor's rounding then and now may differ by, were its lines all as this one: twice step²/12, white.
     """
 
     f: Array
@@ -96,6 +99,7 @@ class Carried:
     flat: ComplexArray
     band_hz: Interval
     overlap: float
+    unseen: Array | float = 0.0
 
     @cached_property
     def bias(self) -> Array:
@@ -117,7 +121,9 @@ class Carried:
         above = self.f > self.band_hz[1]
         apart = [float(weight[above] @ (np.abs(x) ** 2 - kept)[above]) for x in (self.before, self.flat)]
         low, high = rms_interval(mean, variance)
-        return _Power(mean, max(low**2 + min(0.0, *apart), 0.0), high**2 + max(0.0, *apart))
+        rounded = float(np.sqrt(np.mean(self.unseen**2 * weight)))  # white: lines of a record are evenly apart
+        low, high = np.sqrt(max(low**2 + min(0.0, *apart), 0.0)), np.sqrt(high**2 + max(0.0, *apart))
+        return _Power(mean, max(low - rounded, 0.0) ** 2, (high + rounded) ** 2)
 
     def outside(self) -> float:
         """Share of the error's power outside the measured band."""
@@ -151,6 +157,7 @@ def carried(loop: Loop, disturbance: Disturbance) -> Carried:
         moves=(before * toward)[None], there=there, covariance=relative[:, None, None].astype(complex),
         flat=before * (1.0 + C0 * plant.siso[-1]) / (1.0 + C1 * plant.siso[-1]),
         band_hz=(float(plant.frequency_hz[0]), float(plant.frequency_hz[-1])), overlap=plant.line_overlap,
+        unseen=disturbance.step / np.sqrt(6.0) * np.abs(1.0 / (1.0 + C1 * P)) if disturbance.coarse else 0.0,
     )  # fmt: skip
 
 
@@ -224,7 +231,7 @@ def disturbed(loop: Loop, disturbance: Disturbance, control_range: Interval | No
     if samples > 0.0:
         readings["control_peak"] = peaks[0].reading([one.peak for one in changed])
         readings["control_rate"] = peaks[1].reading([one.rate for one in changed])
-    return Disturbed(readings, found.outside(), unlike=unlike)
+    return Disturbed(readings, found.outside(), unlike=unlike, coarse=disturbance.coarse)
 
 
 def _weights(carried: Carried, rate_hz: float) -> tuple[Array, Array, Array, Array]:
@@ -461,7 +468,12 @@ def _of_one(found: Disturbed, name: str, loop: Loop, asked: Sequence[str]) -> It
             f"{', '.join(unread)} at {name} cannot be decided: a peak belongs to a record of some length; give a"
             " recording, or duration_s with the spectrum"
         )
-    if found.unlike:
+    if found.coarse:
+        yield (
+            f"the sensor's step at {name} is larger than the rms of the error that was recorded: what moves within a"
+            " step is not known, and intervals are as wide as its rounding makes them; record with a finer sensor"
+        )
+    elif found.unlike:
         yield (
             f"what disturbs the loop at {name} is unlike Gaussian noise (tones or shocks): peaks are those of the"
             " recording itself; a longer one shows more of them"

@@ -358,8 +358,8 @@ def _fit(fit: Fit | None) -> dict[str, Any] | None:
 
 
 def _disturbed(loop: Loop, disturbance: Disturbance | None) -> dict[str, Any] | None:
-    """What disturbed a loop, with plant and old controller on its lines; None of a profile and of too many lines."""
-    if disturbance is None or disturbance.repeats or disturbance.power.size > MOST_LINES:
+    """What disturbed a loop, with plant and old controller on its lines; None of what the page does not judge."""
+    if disturbance is None or disturbance.repeats or disturbance.coarse or disturbance.power.size > MOST_LINES:
         return None
     known, rate_hz, old = carried(loop, disturbance), loop.controller.rate_hz, disturbance.recorded_under
     values = {
