@@ -71,8 +71,8 @@ def tracking_error_of(
 ) -> TrackingError:
     """The error of a loop along a setpoint (n,) at the controller's rate, from rest to rest.
 
-    Raises WrongUseError for a feedforward at another rate, for a loop that is unstable, where the error has not died
-    out at the setpoint's end, and where more of its power than a step from lines may have lies below them, unseen.
+    Raises WrongUseError for a feedforward at another rate, for a loop that is unstable, and where the error has not
+    died out at the setpoint's end.
     """
     if feedforward is not None and feedforward.rate_hz != C.rate_hz:
         raise WrongUseError(
@@ -84,23 +84,20 @@ def tracking_error_of(
         raise WrongUseError("a setpoint has 16 samples at least", f"{r.size}")
     _refuse_unstable(P, C, integrators, unstable_poles)
     lines, scatter = smoothed(P)
-    f = np.asarray(np.fft.rfftfreq(2 * r.size, 1.0 / C.rate_hz)[1:-1], dtype=float)
-    spectrum = np.fft.rfft(np.concatenate([r, r[-1] + r[0] - r]))[1:-1]
-    none = np.zeros(f.size, dtype=complex)
-    F = none if feedforward is None else feedforward.response(f)
+    order = integrators_of(lines) if integrators is None else integrators
+    at_rest = order + C.integrators() > 0
+    _refuse_alive(lines, C, r, order, at_rest)
+    f = _lines_of(r, C)
+    F = np.zeros(f.size) if feedforward is None else feedforward.response(f)
     gain = C.response(f)
 
-    def error(plant: ComplexArray, F: ComplexArray) -> Array:
-        whole = np.zeros(f.size + 2, dtype=complex)
-        through = (1.0 - plant * F) / (1.0 + gain * plant)
-        whole[1:-1] = through * spectrum
-        swings = np.asarray(np.fft.irfft(whole, 2 * r.size)[: r.size], dtype=float)  # about no mean: it begins at rest
-        return swings - swings[0] + float(through[0].real) * r[0]
+    def error(plant: ComplexArray) -> Array:
+        return _swung((1.0 - plant * F) / (1.0 + gain * plant), r, at_rest)
 
-    plants = list(_plants(P.valid_lines(), lines, scatter, f, integrators))
-    _refuse_alive(error(plants[0][0], none))
-    own = error(plants[0][0], F)
-    each = [np.array([error(plant * (1.0 + one), F) for one in off]) for plant, off in plants]
+    orders = (order,) if integrators is not None else tuple(k for k in (order, order - 1, order + 1) if k >= 0)
+    plants = list(_plants(P.valid_lines(), lines, scatter, f, orders))
+    own = error(plants[0][0])
+    each = [np.array([error(plant * (1.0 + one)) for one in off]) for plant, off in plants]
     ends = np.array([np.quantile(one, (0.025, 0.975), axis=0) for one in each])
     rms, most = [np.sqrt(np.mean(one**2, axis=1)) for one in each], [np.abs(one).max(axis=1) for one in each]
     both = feedforward is None
@@ -120,44 +117,63 @@ def _refuse_unstable(P: FRF, C: Controller, integrators: int | None, unstable_po
         )
 
 
-def _refuse_alive(error: Array) -> None:
-    still, size = 0.02, float(np.abs(error).max())
-    moved = float(np.ptp(error[-max(2, error.size // 20) :]))
-    if moved > still * size:
+def _lines_of(r: Array, C: Controller) -> Array:
+    """Frequencies (nf,) in Hz of a setpoint (n,) that is taken back the same way."""
+    return np.asarray(np.fft.rfftfreq(2 * r.size, 1.0 / C.rate_hz)[1:-1], dtype=float)
+
+
+def _swung(through: ComplexArray, r: Array, at_rest: bool) -> Array:
+    """What a loop whose response is `through` (nf,) makes of a setpoint (n,), which it rested at.
+
+    At rest nothing is left of the setpoint; else its mean leaves what the lowest frequency does.
+    """
+    whole = np.zeros(through.size + 2, dtype=complex)
+    whole[1:-1] = through * np.fft.rfft(np.concatenate([r, r[-1] + r[0] - r]))[1:-1]
+    made = np.asarray(np.fft.irfft(whole, 2 * r.size)[: r.size], dtype=float)
+    return made if at_rest else made + 0.5 * float(through[0].real) * (r[0] + r[-1])
+
+
+def _refuse_alive(lines: FRF, C: Controller, r: Array, order: int, at_rest: bool) -> None:
+    """Refuse a setpoint whose rest at the end is too short: with twice the time the error is another."""
+    made = []
+    for one in (r, np.append(r, np.full(r.size, r[-1]))):
+        f = _lines_of(one, C)
+        P = continued(lines, f, order, smooth=True).response
+        made.append(_swung(1.0 / (1.0 + C.response(f) * P), one, at_rest))
+    alive, size = (float(np.abs(x).max()) for x in (made[0] - made[1][: r.size], made[0]))
+    if alive > 0.02 * size:  # the share of it that a step from lines may have at its end, too
         raise WrongUseError(
             "the error must have died out at the setpoint's end",
-            f"it moves by {moved:.3g} of {size:.3g} over the last twentieth",
+            f"with a rest as long as all of it again it differs by {alive:.3g} of {size:.3g}",
             "give the setpoint a longer rest, or look at `ls.check` whether the loop is stable",
         )
 
 
 def _plants(
-    measured: FRF, lines: FRF, scatter: Scatter, f: Array, integrators: int | None
+    measured: FRF, lines: FRF, scatter: Scatter, f: Array, orders: Sequence[int]
 ) -> Iterator[tuple[ComplexArray, ComplexArray]]:
     """What the plant may be at f (nf,), each with draws (draws, nf) of its relative error; the likeliest first.
 
-    They differ where there is no line: below the first by the small models that follow the lowest ones, with one
-    integrator more or less where none is declared; above the last P falls as 1/f² or stays. Between lines half of how
-    far a spline lies off a straight line is an error of its own.
+    They differ where there is no line: below the first by the small models that follow the lowest ones, with each
+    number of integrators in `orders`; above the last P falls as 1/f² or stays. Between lines half of how far a spline
+    lies off a straight line is an error of its own.
     """
-    order = integrators_of(lines) if integrators is None else integrators
-    there = continued(lines, f, order, smooth=True)
-    P = there.response.copy()
+    there = continued(lines, f, orders[0], smooth=True)
+    P = there.response
     draws = scatter.deviations if len(scatter.deviations) > 1 else np.zeros((FEWEST_DRAWS, lines.siso.size), complex)
     off = there.spread(draws / scatter.reference)
-    first, last = lines.frequency_hz[0], lines.frequency_hz[-1]
-    inside = (f >= first) & (f <= last)
-    if lines.frequency_hz.size >= FEWEST:
-        dense = scatter.dense or Dense(lines.frequency_hz, lines.siso, scatter.reference, draws)
-        among = dense.at(f[inside])
-        P[inside], off[:, inside] = among.response, among.deviations / among.reference
     yield P, off
     off = off[::4]  # the others take a quarter of the draws: what counts is how they differ
+    first, last = lines.frequency_hz[0], lines.frequency_hz[-1]
+    inside, below = (f >= first) & (f <= last), f < first
+    if lines.frequency_hz.size >= FEWEST:
+        dense = scatter.dense or Dense(lines.frequency_hz, lines.siso, scatter.reference, draws)
+        P, off, among = P.copy(), off.copy(), dense.at(f[inside])
+        P[inside], off[:, inside] = among.response, among.deviations[::4] / among.reference
+        yield P, off
     flat = P.copy()
     flat[f > last] = lines.siso[-1]
     yield flat, off
-    below = f < first
-    orders = (order,) if integrators is not None else tuple(k for k in (order, order - 1, order + 1) if k >= 0)
     for model in (one for k in orders for one in low_frequency_models(measured, k)):
         lower = P.copy()
         lower[below] = lines.siso[0] * model.response(f[below]) / model.response(np.array([first]))

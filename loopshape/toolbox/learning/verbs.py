@@ -20,13 +20,15 @@ def tracking_error(
     F: Feedforward | None = None,
     *,
     integrators: int | None = None,
+    unstable_poles: int | None = None,
 ) -> TrackingError:
     """The error of a loop along a setpoint (n,) from rest to rest, with and without feedforward, with 95 % intervals.
 
     At the controller's rate; the setpoint is taken back the same way, and its rest at the end must be long enough for
     the error to die out. `integrators` are the plant's, below its lowest frequency; by default what its
-    lowest lines look like. The loop is taken as stable: ask
-    `ls.check`. Raises WrongUseError for another rate of `F`.
+    lowest lines look like; what is open below and above them is in the intervals.
+    Where stability is not decided the loop is taken as stable: ask `ls.check`. Raises WrongUseError for another rate
+    of `F`, an unstable loop, and an error that has not died out at the setpoint's end.
 
     Examples
     --------
@@ -41,7 +43,7 @@ def tracking_error(
     True
     """
     controller = C.controller if isinstance(C, Tuning) else C
-    return tracking_error_of(P, controller, setpoint, F, integrators=integrators)
+    return tracking_error_of(P, controller, setpoint, F, integrators=integrators, unstable_poles=unstable_poles)
 
 
 def setpoint_of(

@@ -8,7 +8,7 @@ import pytest
 from bench_nouns import Experiment
 from commands import invoked
 from run_files import write_frfs
-from scipy.signal import lfilter
+from scipy.signal import cont2discrete, lfilter
 from scipy.stats import binom
 from simulated_machines import Arm1
 from study_signals import Profile
@@ -203,3 +203,47 @@ def test_the_simulated_arm_learns_the_profile_in_three_trials(arm):
         u = L.next(u, e, z)
     assert errors[1] < 0.2 * errors[0]
     assert errors[3] < 0.02 * errors[0]  # friction and the valves' dead zone are learned too
+
+
+def sampled(num, den, f_hz):
+    back = np.exp(2j * np.pi * f_hz / RATE)
+    return np.polyval(num, back) / np.polyval(den, back)
+
+
+@pytest.mark.parametrize("pole_hz", [0.3, 0.6])
+def test_what_lies_below_the_first_line_is_in_the_interval(pole_hz):
+    """An integrator and a pole below lines from 1 Hz on: rms and largest error of the loop, sample by sample, lie in
+    their intervals (rms 16 % and largest 20 % below the intervals of 0.5 %, before)."""
+    w = 2.0 * np.pi * pole_hz
+    num, den, _ = cont2discrete(([30.0 * w], [1.0, w, 0.0]), 1.0 / RATE, "zoh")
+    num, f_hz, rng = num.ravel(), np.geomspace(1.0, 240.0, 100), np.random.default_rng(3)
+    d = 0.002 * rng.standard_normal((2, 100)) / np.sqrt(2.0)
+    P = ls.FRF.from_arrays(f_hz, sampled(num, den, f_hz) * (1.0 + d[0] + 1j * d[1]), relative_std=0.002, rate_hz=RATE)
+    slow = ls.controller(ls.gain(0.5), ls.lead_lag(1.0, 10.0), rate_hz=RATE)
+    b = np.prod(slow.biquads()[:, 0]) * np.array([1.0, slow.biquads()[-1, 1] / slow.biquads()[-1, 0]])
+    a = np.array([1.0, slow.biquads()[-1, 3]])
+    e = lfilter(np.polymul(a, den), np.polyadd(np.polymul(a, den), np.polymul(b, num)), R)
+    found = ls.learning.tracking_error(P, slow, R, integrators=1)
+    assert found.rms_interval[0] <= np.sqrt(np.mean(e**2)) <= found.rms_interval[1]
+    assert found.largest_interval[0] <= np.abs(e).max() <= found.largest_interval[1]
+
+
+def test_a_loop_without_integrators_keeps_its_error_at_the_end():
+    """A static plant of 1 under a gain of 4 ends with a fifth of the move; it was read about no mean."""
+    f_hz = np.geomspace(0.1, 200.0, 200)
+    num, den, _ = cont2discrete(([60.0], [1.0, 60.0]), 1.0 / RATE, "zoh")
+    P = ls.FRF.from_arrays(f_hz, sampled(num.ravel(), den, f_hz), relative_std=0.001, rate_hz=RATE)
+    gain = ls.controller(ls.gain(4.0), rate_hz=RATE)
+    found = ls.learning.tracking_error(P, gain, R, integrators=0)
+    e = lfilter(den, den + 4.0 * num.ravel(), R)
+    assert found.error[-1] == pytest.approx(0.2, abs=0.005)
+    assert found.error == pytest.approx(e, abs=0.01)
+    assert found.rms_interval[0] <= np.sqrt(np.mean(e**2)) <= found.rms_interval[1]
+
+
+def test_an_error_that_does_not_end_is_refused():
+    with pytest.raises(ls.errors.WrongUseError, match="is unstable"):
+        ls.learning.tracking_error(measured(), ls.controller(ls.gain(40.0), rate_hz=RATE), R, unstable_poles=0)
+    hasty = np.interp(np.arange(475) / RATE, [0.5, 0.9], [0.0, 1.0])  # ends 50 ms after its move
+    with pytest.raises(ls.errors.WrongUseError, match="died out"):
+        ls.learning.tracking_error(measured(), C, hasty, integrators=1)
