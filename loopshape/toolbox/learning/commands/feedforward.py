@@ -25,6 +25,7 @@ def feedforward(
     taps: Annotated[int | None, typer.Option(min=1, help="How many; default: half a period of the band's end.")] = None,
     preview: Annotated[int | None, typer.Option(min=0, help="Samples ahead; default: 60 % of the taps.")] = None,
     integrators: Annotated[int | None, typer.Option(min=0, help="The plant's; default: by its lowest lines.")] = None,
+    unstable_poles: Annotated[int | None, typer.Option(min=0, help="The plant's; default: none, for --move.")] = None,
     controller: Annotated[Path | None, typer.Option(help="A controller file: predict the error of --move.")] = None,
     move: Annotated[
         tuple[float, float, float, float] | None,
@@ -55,7 +56,8 @@ def feedforward(
     output.table("Feedforward", columns, rows)
     errors = {}
     if controller is not None and move is not None:
-        errors = _errors(plant, made, controller_of(read_controllers(controller), plant.loop), move, integrators)
+        own = controller_of(read_controllers(controller), plant.loop)
+        errors = _errors(plant, made, own, move, {"integrators": integrators, "unstable_poles": unstable_poles})
         rows = [[name, e.rms, *e.rms_interval, e.largest, *e.largest_interval] for name, e in errors.items()]
         output.table("Predicted error", ["", "rms", "95 % from", "to", "largest", "95 % from", "to"], rows)
     drawn = [_draw(run, made, errors, plant)] if figures else []
@@ -80,14 +82,18 @@ def plant_of(run: Path, recording: str | None) -> FRF:
 
 
 def _errors(
-    plant: FRF, made: Feedforward, own: Controller, move: tuple[float, float, float, float], integrators: int | None
+    plant: FRF,
+    made: Feedforward,
+    own: Controller,
+    move: tuple[float, float, float, float],
+    declared: dict[str, int | None],
 ) -> dict[str, TrackingError]:
     """Of the move, without feedforward and with it."""
     from loopshape.toolbox.learning.verbs import setpoint_of, tracking_error
 
     setpoint = setpoint_of(*move, rate_hz=own.rate_hz, rest_s=4.0 / plant.valid_band_hz[0])
     return {
-        name: tracking_error(plant, own, setpoint, one, integrators=integrators)
+        name: tracking_error(plant, own, setpoint, one, **declared)
         for name, one in (("without", None), ("with feedforward", made))
     }
 
