@@ -194,7 +194,8 @@ def tune(
 
 def _is_turned(loops: Sequence[Loop], structure: Sequence[BlockTemplate], start: Controller | None) -> bool:
     """Whether a structure of positive gains lacks the sign that the plants need, or that the start has."""
-    if not structure or any(t.kind == "gain" and t.parameters["gain"] == -1.0 for t in structure):
+    own = [template.parameters.get("gain") for template in structure if template.kind == "gain"]
+    if not structure or any(isinstance(x, float) and x < 0.0 for x in own):
         return False
     if start is None:
         return all(sign_at_0(loop) < 0 for loop in loops)
