@@ -195,7 +195,7 @@ def tune(
 def _is_turned(loops: Sequence[Loop], structure: Sequence[BlockTemplate], start: Controller | None) -> bool:
     """Whether a structure of positive gains lacks the sign that the plants need, or that the start has."""
     own = [template.parameters.get("gain") for template in structure if template.kind == "gain"]
-    if not structure or any(isinstance(x, float) and x < 0.0 for x in own):
+    if not structure or any(isinstance(x, int | float) and x < 0.0 for x in own):
         return False
     if start is None:
         return all(sign_at_0(loop) < 0 for loop in loops)
