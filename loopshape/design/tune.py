@@ -198,7 +198,7 @@ def _is_turned(loops: Sequence[Loop], structure: Sequence[BlockTemplate], start:
     if not structure or any(isinstance(x, int | float) and x < 0.0 for x in own):
         return False
     if start is None:
-        return all(sign_at_0(loop) < 0 for loop in loops)
+        return all(loop.unstable_poles == 0 and sign_at_0(loop) < 0 for loop in loops)
     more = Counter(block.kind for block in start.blocks) - Counter(template.kind for template in structure)
     return more == Counter(["gain"]) and any(block == Block("gain", {"gain": -1.0}) for block in start.blocks)
 
