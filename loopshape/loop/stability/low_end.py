@@ -98,7 +98,7 @@ def is_told(loop: Loop) -> bool:
         return True
     lines = loop.measured
     phase, slope = order_of(loop)
-    if slope < (loop.integrators or 0) - TOL.integrators_agree:  # a zero below, on either side: the sign at 0 is open
+    if slope < (loop.integrators or 0) - room_of(lines):  # a zero below, on either side: the sign at 0 is open
         return False
     if is_large(loop) and abs(phase - slope) < 1.0:  # no pair of poles lies below that the phase does not show
         return True

@@ -192,7 +192,7 @@ export function isTold(loop: Loop): boolean {
   if (point.unstable_poles && !fitted) return point.simple;
   if (fitted || point.knows_sign) return true;
   const [[phase, slope], room] = [orderOf(loop), point.order[2]];
-  if (slope < (point.integrators ?? 0) - agree) return false; // a zero below, on either side: the sign at 0 is open
+  if (slope < (point.integrators ?? 0) - room) return false; // a zero below, on either side: the sign at 0 is open
   if (isLarge(loop) && Math.abs(phase - slope) < 1) return true;
   return integrators >= 0 && Math.abs(phase - slope) < room && slopeOf(loop) > -agree;
 }
