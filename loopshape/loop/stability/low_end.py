@@ -166,10 +166,7 @@ def order_of(loop: Loop) -> tuple[float, float]:
 
 
 def sign_at_0(loop: Loop) -> int:
-    """Sign of k, as the plant goes as k/s^n towards 0 Hz: by models of the lowest lines, or by phase and slope there.
-
-    0 where they do not tell it.
-    """
+    """Sign of k, as P goes as k/s^n towards 0 Hz: by models of the lowest lines, or phase and slope; 0: not told."""
     if models := low_models(loop):
         signs = {int(np.sign(model.num[0])) if model.knows_sign else 0 for model in models}
         return signs.pop() if len(signs) == 1 else 0
