@@ -213,7 +213,9 @@ def test_what_it_reads_may_not_be_written():
             caller(np.zeros(1))
 
 
-def test_a_kernel_for_kernels_alone_refuses_python_before_and_after_it_is_compiled():
+def test_a_kernel_for_kernels_alone_refuses_python_before_and_after_it_is_compiled(monkeypatch):
+    monkeypatch.setattr("loopshape.core.kernels.compiled.keep", lambda function: None)  # a second run finds no module
+
     def _within(x):
         return 2.0 * x
 
