@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import shaped_cases
 
@@ -28,3 +29,17 @@ def test_both_signs_turned_change_nothing(kind: str, controller: ls.Controller, 
     assert (m.stable, one.outcome) == (n.stable, same.outcome), (m.stability_reason, n.stability_reason)
     for name, read in m.items():
         assert n[name].span == pytest.approx(read.span, rel=1e-2, abs=0.02, nan_ok=True), name
+
+
+def test_so_where_slope_and_phase_alone_tell_what_lies_below_the_lines() -> None:
+    """A lag far below the lines, which no small model of them tells: its slope and phase agree up to the sign."""
+    f, rng = np.geomspace(1.0, 450.0, 100), np.random.default_rng(6)
+    s = 2j * np.pi * f
+    noise = 1.0 + 0.003 * (rng.standard_normal(100) + 1j * rng.standard_normal(100)) / np.sqrt(2.0)
+    P = noise / (s * (5.84 * s + 1.0) * (0.00142 * s + 1.0)) * np.exp(-0.0025 * s)
+    R = ls.Requirements("x", unstable_poles=0, integrators=1)
+    for sign in (1.0, -1.0):
+        frf = ls.FRF.from_arrays(f, sign * P, relative_std=0.003, rate_hz=1000.0, loop="x")
+        own = ls.controller(ls.gain(sign * 7796.0), ls.lead_lag(3.35, 30.2), rate_hz=1000.0, loop="x")
+        (m,) = ls.check(frf, own, R).margins.values()
+        assert m.stable == "stable", m.stability_reason

@@ -263,10 +263,10 @@ def _bounded_above(loop: Loop, j: _Judged, found: _Found) -> None:
 def _bounded_between(loop: Loop, j: _Judged, reader: Reader, found: _Found) -> None:
     """Between lines that are missing a resonance may move L without a trace: what that makes of each limit at worst."""
     hidden = hidden_in(loop)
-    among = hidden is not None and hidden.missing & (hidden.ends_hz[:, 1] <= j.f[-1])
-    if hidden is None or not np.any(among):
-        return
+    among = hidden.missing & (hidden.ends_hz[:, 1] <= j.f[-1])
     ends, moved = hidden.ends_hz[among], hidden.moved[among]
+    if not ends.size:
+        return
     rows = [(j.f >= low_hz) & (j.f <= high_hz) for low_hz, high_hz in ends]
     least = [(np.abs(1.0 + j.L[k]).min(), np.abs(j.L[k]).min(), np.abs(j.C[k]).min()) for k in rows]
     most = [(np.abs(j.L[k]).max(), np.abs(j.C[k]).max()) for k in rows]

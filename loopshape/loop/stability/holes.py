@@ -109,14 +109,15 @@ class Hidden(NamedTuple):
     least: Array
 
 
-def hidden_in(loop: Loop) -> Hidden | None:
-    """What may hide in the gaps of a loop; None where it has none."""
+def hidden_in(loop: Loop) -> Hidden:
+    """What may hide in the gaps of a loop."""
     gaps = gaps_of(loop)
-    if not gaps:
-        return None
-    ends, missing = np.array([(x.low_hz, x.high_hz) for x in gaps]), np.array([x.missing for x in gaps])
+    ends, missing = (
+        np.reshape([(x.low_hz, x.high_hz) for x in gaps], (-1, 2)),
+        np.array([x.missing for x in gaps], bool),
+    )
     C = loop.controller.response(ends.ravel()).reshape(ends.shape)
-    L = C * np.array([(x.at_low, x.at_high) for x in gaps])
+    L = C * np.reshape([(x.at_low, x.at_high) for x in gaps], (-1, 2))
     width = np.where(missing, LEAST_DAMPING, POOR_DAMPING) * np.sqrt(ends.prod(axis=1))
     moved = np.abs(C).max(axis=1) * np.array([x.residue for x in gaps]) / width
     return Hidden(ends, missing, moved, np.abs(1.0 + L).min(axis=1), np.abs(L).min(axis=1))
@@ -125,14 +126,11 @@ def hidden_in(loop: Loop) -> Hidden | None:
 def _unseen(loop: Loop) -> tuple[str, tuple[float, float]] | None:
     """Where a resonance might encircle -1 between lines that are missing or too uncertain to show it."""
     hidden = hidden_in(loop)
-    if hidden is None:
-        return None
-    gaps, ends, near = gaps_of(loop), hidden.ends_hz, hidden.least < 1.0 / FAR
-    hides = np.flatnonzero(near & (hidden.moved > hidden.room))
-    return _in_words(ends, np.array([x.missing for x in gaps]), hides, "-1") if hides.size else None
+    hides = np.flatnonzero((hidden.least < 1.0 / FAR) & (hidden.moved > hidden.room))
+    return _in_words(hidden.ends_hz, hidden.missing, hides) if hides.size else None
 
 
-def _in_words(ends: Array, missing: np.ndarray, hides: np.ndarray, point: str) -> tuple[str, tuple[float, float]]:
+def _in_words(ends: Array, missing: np.ndarray, hides: np.ndarray) -> tuple[str, tuple[float, float]]:
     """The first of the gaps that hide something, and those right after it, in words, and the band to measure."""
     last = first = hides[0]
     for k in hides[1:]:  # one measurement for all that lie within an octave of each other
@@ -140,11 +138,11 @@ def _in_words(ends: Array, missing: np.ndarray, hides: np.ndarray, point: str) -
     low, high = float(ends[first, 0]), float(ends[last, 1])
     if missing[first] and last == first:
         words = f"no frequency lies between {low:.4g} and {high:.4g} Hz"
-        return f"{words}, and a resonance there might encircle {point} without a trace: measure there", (low, high)
+        return f"{words}, and a resonance there might encircle -1 without a trace: measure there", (low, high)
     if missing[first]:
-        words = f"the lines between {low:.4g} and {high:.4g} Hz lie too far apart to show a resonance that encircles"
-        return f"{words} {point}: measure finer there", (low, high)
-    words = f"the lines between {low:.4g} and {high:.4g} Hz are too uncertain to show whether L encircles {point} there"
+        words = f"the lines between {low:.4g} and {high:.4g} Hz lie too far apart to show a resonance that encircles -1"
+        return f"{words}: measure finer there", (low, high)
+    words = f"the lines between {low:.4g} and {high:.4g} Hz are too uncertain to show whether L encircles -1 there"
     return f"{words}: measure longer or excite more", (low, high)
 
 
@@ -191,7 +189,7 @@ def hole_among(loops: Loop) -> tuple[str, tuple[float, float]] | None:
     f = loops.frequency_hz
     if f.size < FEWEST:
         return _too_few(loops)
-    size = np.linalg.norm(loops.determinant[:, None] - 1.0, axis=1)
+    size = np.abs(loops.determinant - 1.0)
     wide = np.flatnonzero((f[1:] > APART * f[:-1]) & (np.maximum(size[1:], size[:-1]) > FAR))
     if wide.size:
         return _empty(float(f[wide[0]]), float(f[wide[0] + 1]))
@@ -199,7 +197,7 @@ def hole_among(loops: Loop) -> tuple[str, tuple[float, float]] | None:
     hides = np.flatnonzero(hidden.moved > 1.0) if hidden is not None else np.array([], dtype=int)
     if hidden is None or not hides.size:
         return None
-    return _in_words(hidden.ends_hz, np.ones(len(hidden.moved), dtype=bool), hides, "-1")
+    return _in_words(hidden.ends_hz, np.ones(len(hidden.moved), dtype=bool), hides)
 
 
 def _too_few(loop: Loop) -> tuple[str, tuple[float, float]]:

@@ -6,19 +6,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-import typer
-from coupled_run import REQUIREMENTS, F, coupled_run, matrix
+from coupled_run import REQUIREMENTS, F, checked, coupled_run, matrix
 from run_files import read_required, write_frfs
 from several_cases import gain
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.verify.check import check as check_command
 from loopshape.io.requirements import OWN
 from loopshape.testing import ControllerTest, assert_controller
-
-APP = typer.Typer()
-APP.command()(check_command)
 
 
 @pytest.fixture
@@ -26,12 +20,8 @@ def run(tmp_path):
     return coupled_run(tmp_path)
 
 
-def said(run, *more):
-    return CliRunner().invoke(APP, [str(run), str(run / "c.toml"), "--require", str(run / "r.toml"), *more])
-
-
 def test_what_holds_passes_and_is_drawn(run):
-    done = said(run, "--junit", str(run / "j.xml"), "--details")
+    done = checked(run, "--junit", str(run / "j.xml"), "--details")
     assert done.exit_code == 0, done.output
     for words in ("Loop a: pass", "Loop b: pass", "Loop a + b: pass", "All loops at once"):
         assert words in done.output
@@ -49,19 +39,19 @@ def test_a_profile_limits_each_loop_with_the_others_closed(run):
         "limits = { gain_margin_db = 6.0, phase_margin_deg = 45.0 }", "limits = { phase_margin_deg = 89.9 }"
     )
     (run / "mine.toml").write_text(text, encoding="utf-8")
-    done = said(run, "--no-figures", "--profile", f"{run / 'mine.toml'}:converter", "--json")
+    done = checked(run, "--no-figures", "--profile", f"{run / 'mine.toml'}:converter", "--json")
     assert done.exit_code == 1, done.output
     told = json.loads(done.stdout)
     assert not told["passed"]
     assert "phase_margin_deg" in json.dumps(told)
-    done = said(run, "--no-figures", "--profile", "converter")
+    done = checked(run, "--no-figures", "--profile", "converter")
     assert done.exit_code == 0, done.output
     assert "power electronics" in done.output
 
 
 def test_what_is_missed_is_exit_code_1_and_says_which(run):
     (run / "r.toml").write_text(REQUIREMENTS.format(disk=1.9))
-    done = said(run, "--json", "--no-figures")
+    done = checked(run, "--json", "--no-figures")
     assert done.exit_code == 1
     told = json.loads(done.stdout)
     assert (told["outcome"], told["passed"], told["figures"]) == ("failed", False, [])
@@ -77,7 +67,7 @@ def test_what_is_missed_is_exit_code_1_and_says_which(run):
 
 
 def test_quiet_says_nothing(run):
-    done = said(run, "--quiet", "--no-figures")
+    done = checked(run, "--quiet", "--no-figures")
     assert (done.exit_code, done.output) == (0, "")
 
 
@@ -86,7 +76,7 @@ def test_a_run_of_single_loops_is_refused(tmp_path, run):
     one = matrix(0.0)
     write_frfs(folder, [type(one)(F, one.response[:, :1, :1], one.covariance[:, :1, :1], one.valid, one.inputs[:1],
                                   one.outputs[:1], "m", "exact", "a", one.rate_hz)])  # fmt: skip
-    done = CliRunner().invoke(APP, [str(folder), str(run / "c.toml"), "--require", str(run / "r.toml")])
+    done = checked(folder, by=run)
     assert isinstance(done.exception, ls.errors.WrongUseError)
     assert "frf RUN --matrix" in str(done.exception)
 
@@ -137,6 +127,6 @@ def test_a_projects_own_tests_hold_all_loops(run):
 
 
 def test_what_read_gives_of_requirements_is_checked_as_the_command_does(run):
-    told = json.loads(said(run, "--no-figures", "--json").stdout)["loops"]
+    told = json.loads(checked(run, "--no-figures", "--json").stdout)["loops"]
     verdict = ls.check(matrix(0.3), ls.read(run / "c.toml"), ls.read(run / "r.toml"))
     assert [json.loads(json.dumps(part.to_dict())) for part in verdict.parts] == told

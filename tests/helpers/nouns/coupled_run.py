@@ -1,9 +1,16 @@
 """A run of two coupled loops with its requirements, for check and report."""
 
 import numpy as np
+import typer
 from conversions import TWO_PI
 from run_files import write_controllers, write_matrices
 from several_cases import frf_of, gain, noisy
+from typer.testing import CliRunner
+
+from loopshape.cli.verify.check import check
+
+APP = typer.Typer()
+APP.command()(check)
 
 F = np.arange(0.1, 20.0, 0.1)
 S = 1j * TWO_PI * F
@@ -37,3 +44,9 @@ def coupled_run(folder):
     write_controllers(folder / "c.toml", [gain("a"), gain("b")])
     (folder / "r.toml").write_text(REQUIREMENTS.format(disk=0.5))
     return folder
+
+
+def checked(run, *more, by=None):
+    """What `loopshape check` does with it, or with the files of another folder (`by`)."""
+    of = by or run
+    return CliRunner().invoke(APP, [str(run), str(of / "c.toml"), "--require", str(of / "r.toml"), *more])

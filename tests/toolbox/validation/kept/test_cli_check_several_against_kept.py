@@ -3,18 +3,12 @@
 import json
 
 import pytest
-import typer
-from coupled_run import coupled_run, matrix
+from coupled_run import checked, coupled_run, matrix
 from run_files import write_controllers, write_matrices
 from several_cases import gain
-from typer.testing import CliRunner
 
 import loopshape as ls
-from loopshape.cli.verify.check import check as check_command
 from loopshape.testing import assert_controller
-
-APP = typer.Typer()
-APP.command()(check_command)
 
 
 @pytest.fixture
@@ -22,25 +16,25 @@ def run(tmp_path):
     return coupled_run(tmp_path)
 
 
-def said(run, *more):
-    return CliRunner().invoke(APP, [str(run), str(run / "c.toml"), "--require", str(run / "r.toml"), *more])
-
-
 def test_a_verdict_on_all_loops_is_kept_and_compared(run):
     """The same again is unchanged; a gain lowered by 1 dB is the controllers' part, a fallen plant the plant's."""
-    assert said(run, "--no-figures", "--save-verdict", str(run / "kept.json")).exit_code == 0
-    done = said(run, "--no-figures", "--baseline", str(run / "kept.json"))
+    assert checked(run, "--no-figures", "--save-verdict", str(run / "kept.json")).exit_code == 0
+    done = checked(run, "--no-figures", "--baseline", str(run / "kept.json"))
     assert done.exit_code == 0, done.output
     assert "Against the baseline: unchanged (0 margins worse, 0 better" in done.output
     (kept,) = ls.read(run / "kept.json")
     assert [part.loop for part in kept.parts] == ["a", "b", "a + b"]
     write_controllers(run / "c.toml", [gain("a", 1.5), gain("b")])
-    compared = json.loads(said(run, "--no-figures", "--baseline", str(run / "kept.json"), "--json").stdout)["baseline"]
+    compared = json.loads(checked(run, "--no-figures", "--baseline", str(run / "kept.json"), "--json").stdout)[
+        "baseline"
+    ]
     assert {x["loop"] for x in compared["margins"] if x["outcome"] == "worse"} == {"a", "b", "a + b"}
     assert compared["by_controller"] is None
     assert "loop a + b: other controllers, the same data" in compared["notes"]
     write_matrices(run, [matrix(0.5)])
-    compared = json.loads(said(run, "--no-figures", "--baseline", str(run / "kept.json"), "--json").stdout)["baseline"]
+    compared = json.loads(checked(run, "--no-figures", "--baseline", str(run / "kept.json"), "--json").stdout)[
+        "baseline"
+    ]
     parts = {name: {x["loop"] for x in compared[name]["margins"]} for name in ("by_controller", "by_plant")}
     assert parts == {"by_controller": {"a", "b", "a + b"}, "by_plant": {"a", "b", "a + b"}}
     whole, own, plant = (

@@ -358,9 +358,7 @@ function unseen(loop: Loop): Undecided | null {
   const reason =
     gaps[first].missing
       ? `no frequency lies between ${short(low, 4)} and ${short(high, 4)} Hz, and a resonance there might encircle -1 without a trace: measure there`
-      : gaps[first].missing
-        ? `the lines between ${short(low, 4)} and ${short(high, 4)} Hz lie too far apart to show a resonance that encircles -1: measure finer there`
-        : `the lines between ${short(low, 4)} and ${short(high, 4)} Hz are too uncertain to show whether L encircles -1 there: measure longer or excite more`;
+      : `the lines between ${short(low, 4)} and ${short(high, 4)} Hz are too uncertain to show whether L encircles -1 there: measure longer or excite more`;
   return { reason, band_hz: [low, high] };
 }
 
